@@ -1,0 +1,203 @@
+"""Beliefs, the estimator protocol, and the measurement update that every Gaussian filter shares."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError
+from estbench.linalg import cholesky, solve_lower, solve_lower_transposed
+from estbench.manifold import Manifold
+from estbench.models.base import Channels
+
+Array = NDArray[np.float64]
+
+
+class Fault(IntEnum):
+    """Why a run stopped being estimated; the value is stored a run, the text is for people."""
+
+    NONE = 0
+    STATE = 1
+    COVARIANCE = 2
+    INNOVATION = 3
+
+    @property
+    def text(self) -> str:
+        """What failed, in words."""
+        return (
+            "",
+            "the estimate is not finite",
+            "the state covariance P is not positive definite",
+            "the innovation covariance S is not positive definite",
+        )[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """A Gaussian belief: mean `(run, nx)`, covariance `(run, n, n)` in the tangent at the mean.
+
+    A failed run has NaN in both and its `Fault` in `fault` `(run,)`; it stays failed.
+    """
+
+    mean: Array
+    cov: Array
+    fault: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What a measurement said: ν and S `(run, m)`, `(run, m, m)`.
+
+    Attributes:
+        residual: ν = y ⊖ ŷ; zero where nothing arrived.
+        cov: S.
+        white: L⁻¹ ν with S = L Lᵀ, standard normal for a consistent filter `(run, m)`.
+        nis: νᵀ S⁻¹ ν `(run,)`.
+        dof: how many components arrived `(run,)`.
+    """
+
+    residual: Array
+    cov: Array
+    white: Array
+    nis: Array
+    dof: NDArray[np.int64]
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """The methods an estimator of any family has; no base class is needed.
+
+    It is built as `Class(model, **settings)`. Methods are pure: they return new beliefs.
+    """
+
+    def init(self, mean: Array, cov: Array) -> Any:
+        """The belief at the start from mean `(run, nx)` and covariance `(run, n, n)`."""
+        ...
+
+    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+        """The belief at t + dt, given the belief at t and the control `(run, nu)` held between."""
+        ...
+
+    def update(
+        self,
+        belief: Any,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Any, Innovation]:
+        """The belief given the measurement y `(run, ny)` of `channels` at t.
+
+        `mask` `(run, m)` is True where a component has arrived; None means everywhere.
+        """
+        ...
+
+    def mean(self, belief: Any) -> Array:
+        """x̂ `(run, nx)`."""
+        ...
+
+    def cov(self, belief: Any) -> Array:
+        """P `(run, n, n)` in the tangent at x̂."""
+        ...
+
+
+class GaussianEstimator:
+    """Shared by the estimators whose belief is a `Gaussian`: init, mean and cov."""
+
+    def init(self, mean: Array, cov: Array) -> Gaussian:
+        """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
+        if mean.ndim != 2 or cov.ndim != 3 or len(mean) != len(cov):
+            raise DimensionError(
+                f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n)"
+            )
+        return Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
+
+    def mean(self, belief: Gaussian) -> Array:
+        """x̂ `(run, nx)`."""
+        return belief.mean
+
+    def cov(self, belief: Gaussian) -> Array:
+        """P `(run, n, n)`."""
+        return belief.cov
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """The linear estimate of the error from an innovation: δ = K ν, its gain and its reduction.
+
+    Attributes:
+        delta: K ν `(run, n)`.
+        reduction: K S Kᵀ `(run, n, n)`, what the update takes from P.
+        gain: K `(run, n, m)`.
+        innovation: ν, S and NIS.
+        fault: `Fault.INNOVATION` where S has no Cholesky factor.
+    """
+
+    delta: Array
+    reduction: Array
+    gain: Array
+    innovation: Innovation
+    fault: NDArray[np.uint8]
+
+
+def correct(
+    residual: Array, S: Array, cross: Array, mask: NDArray[np.bool_] | None = None
+) -> Correction:
+    """Condition on an innovation: K = Pxy S⁻¹ by Cholesky (source 003, eq. 3-4; Bishop, eq. 20).
+
+    With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K ν = Wᵀ (L⁻¹ ν), K S Kᵀ = Wᵀ W, NIS = |L⁻¹ ν|².
+    A component that did not arrive is taken out exactly: its cross-covariance and residual are
+    zero and its row and column of S are those of the identity.
+
+    Args:
+        residual: ν `(run, m)`.
+        S: innovation covariance `(run, m, m)`, R included.
+        cross: Pxy `(run, n, m)` (P Hᵀ for a linear measurement).
+        mask: `(run, m)`, True where a component arrived.
+    """
+    m = S.shape[-1]
+    if mask is not None and not mask.all():
+        both = mask[:, :, None] & mask[:, None, :]
+        S = np.where(both, S, np.eye(m))
+        cross = np.where(mask[:, None, :], cross, 0.0)
+        residual = np.where(mask, residual, 0.0)
+        dof = mask.sum(axis=-1)
+    else:
+        dof = np.full(len(S), m)
+    lower = cholesky(S)
+    joint = np.concatenate([np.swapaxes(cross, -1, -2), residual[..., None]], axis=-1)
+    joint = solve_lower(lower, joint)
+    W, white = joint[..., :-1], joint[..., -1]
+    Wt = np.swapaxes(W, -1, -2)
+    delta = (Wt @ white[..., None])[..., 0]
+    gain = np.swapaxes(solve_lower_transposed(lower, W), -1, -2)
+    nis = np.einsum("ij,ij->i", white, white)
+    fault = np.where(np.isfinite(lower[:, 0, 0]) | ~np.isfinite(S[:, 0, 0]), 0, Fault.INNOVATION)
+    innovation = Innovation(residual, S, white, nis, dof)
+    return Correction(delta, Wt @ W, gain, innovation, fault.astype(np.uint8))
+
+
+def settle(space: Manifold, prior: Gaussian, delta: Array, cov: Array, fault: Any = 0) -> Gaussian:
+    """The posterior x̂⁻ ⊞ δ with its covariance carried to the new tangent; failures marked."""
+    return marked(
+        replace(prior, mean=space.plus(prior.mean, delta), cov=space.transport(cov, delta)), fault
+    )
+
+
+def marked(belief: Gaussian, fault: Any = 0) -> Gaussian:
+    """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
+    finite = np.isfinite(belief.mean).all(axis=-1) & np.isfinite(belief.cov).all(axis=(-2, -1))
+    new = np.where(fault, fault, np.where(finite, Fault.NONE, Fault.STATE)).astype(np.uint8)
+    if not new.any() and not belief.fault.any():
+        return belief
+    code = np.where(belief.fault, belief.fault, new)
+    bad = code != Fault.NONE
+    return replace(
+        belief,
+        mean=np.where(bad[:, None], np.nan, belief.mean),
+        cov=np.where(bad[:, None, None], np.nan, belief.cov),
+        fault=code,
+    )

@@ -1,0 +1,87 @@
+"""Estimators by name: the built-in ones, those of installed packages, and `package.module:Name`."""
+
+import importlib
+import inspect
+import sys
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from estbench.errors import EstbenchError, EstimatorError, did_you_mean
+from estbench.estimators.base import Estimator
+from estbench.models.base import Model
+
+BUILTIN = {
+    "ekf": "estbench.estimators.ekf:EKF",
+    "ukf": "estbench.estimators.ukf:UKF",
+}
+GROUP = "estbench.estimators"
+METHODS = ("init", "predict", "update", "mean", "cov")
+
+
+def known() -> dict[str, str]:
+    """Name -> `module:Class` of the built-in estimators and of the entry-point group."""
+    return BUILTIN | {point.name: point.value for point in entry_points(group=GROUP)}
+
+
+def resolve(name: str) -> type:
+    """The class of a registered name or of `package.module:Name` (also from the current folder).
+
+    Raises:
+        EstimatorError: there is none, or it lacks one of the protocol's methods.
+    """
+    target = known().get(name, name)
+    module, colon, attribute = target.partition(":")
+    if not colon:
+        raise EstimatorError(f"no estimator '{name}'{did_you_mean(name, known())}")
+    found = getattr(load_module(module, f"estimator '{name}'"), attribute, None)
+    if found is None:
+        raise EstimatorError(f"estimator '{name}': module {module} has no '{attribute}'")
+    missing = [method for method in METHODS if not callable(getattr(found, method, None))]
+    if missing:
+        raise EstimatorError(
+            f"estimator '{name}' lacks the method(s) {', '.join(missing)}; an estimator has "
+            f"{', '.join(METHODS)}"
+        )
+    return found
+
+
+def load_module(module: str, what: str) -> Any:
+    """Import a user's module, looking in the current folder too.
+
+    Raises:
+        EstimatorError: it cannot be imported.
+    """
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    try:
+        return importlib.import_module(module)
+    except Exception as error:  # a user's module may raise anything
+        raise EstimatorError(
+            f"{what}: cannot import '{module}': {type(error).__name__}: {error}"
+        ) from None
+
+
+def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
+    """Build the estimator `settings['type']` (default: the label) on a model.
+
+    Raises:
+        EstimatorError: unknown estimator or setting, or a value out of range.
+    """
+    arguments = dict(settings)
+    name = arguments.pop("type", label)
+    cls = resolve(name)
+    accepted = [p for p in inspect.signature(cls).parameters if p not in ("model", "self")]
+    for setting in arguments:
+        if setting not in accepted:
+            raise EstimatorError(f"{label}: no setting '{setting}'{did_you_mean(setting, accepted)}")
+    try:
+        return cls(model, **arguments)
+    except EstbenchError:
+        raise
+    except Exception as error:
+        raise EstimatorError(
+            f"{label}: {name}(model, {arguments}) raised {type(error).__name__}: {error}"
+        ) from None

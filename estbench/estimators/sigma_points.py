@@ -1,0 +1,54 @@
+"""Sigma-point rules: unit points and weights, and the moments of their images on a manifold."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.manifold import Manifold
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SigmaPoints:
+    """A cubature rule for N(0, I): Σ wᵢ g(ξᵢ) ≈ E g(ξ).
+
+    Attributes:
+        points: ξ `(point, n)`.
+        mean_weights: `(point,)`, sum 1.
+        cov_weights: `(point,)`.
+    """
+
+    points: Array
+    mean_weights: Array
+    cov_weights: Array
+
+    def draw(self, space: Manifold, mean: Array, lower: Array) -> Array:
+        """The points x̂ ⊞ L ξ `(run, point, nx)` for a factor L `(run, n, n)` of P."""
+        return space.plus(mean[:, None], self.points @ np.swapaxes(lower, -1, -2))
+
+    def moments(self, space: Manifold, values: Array) -> tuple[Array, Array, Array]:
+        """Mean `(run, nx)`, residuals from it `(run, point, n)` and covariance `(run, n, n)`."""
+        mean = space.mean(values, self.mean_weights)
+        residual = space.minus(values, mean[:, None])
+        return mean, residual, self.cross(residual, residual)
+
+    def cross(self, a: Array, b: Array) -> Array:
+        """Σ wᵢ aᵢ bᵢᵀ `(run, n, m)` of residuals `(run, point, n)` and `(run, point, m)`."""
+        return np.swapaxes(a * self.cov_weights[:, None], -1, -2) @ b
+
+
+def scaled(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> SigmaPoints:
+    """The scaled unscented rule with 2 n + 1 points (van der Merwe 2004, eq. 3.11-3.13).
+
+    λ = α² (n + κ) - n; the points are 0 and ± sqrt(n + λ) eᵢ. The mean weight of the centre is
+    λ/(n + λ), its covariance weight λ/(n + λ) + 1 - α² + β.
+    """
+    spread = alpha**2 * (n + kappa)  # n + λ
+    root = np.sqrt(spread) * np.eye(n)
+    mean_weights = np.full(2 * n + 1, 0.5 / spread)
+    mean_weights[0] = 1.0 - n / spread
+    cov_weights = mean_weights.copy()
+    cov_weights[0] += 1.0 - alpha**2 + beta
+    return SigmaPoints(np.concatenate([np.zeros((1, n)), root, -root]), mean_weights, cov_weights)

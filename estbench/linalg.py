@@ -1,0 +1,80 @@
+"""Batched linear algebra on stacks of small matrices; a failure becomes NaN in its own row only.
+
+numpy has no batched triangular solve and scipy's is a Python loop over the stack, so the two
+substitutions below are vectorized over the stack and loop over the (small) matrix order.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def symmetrize(a: Array) -> Array:
+    """(A + Aᵀ)/2 of `(..., n, n)`."""
+    return 0.5 * (a + np.swapaxes(a, -1, -2))
+
+
+def cholesky(a: Array) -> Array:
+    """Lower Cholesky factors `(run, n, n)`; NaN where a matrix has none.
+
+    numpy raises for the whole stack when one matrix is not positive definite. The stack is then
+    halved until the culprits stand alone, so the usual case pays nothing and a failure costs
+    O(log run) further calls.
+    """
+    if not np.isfinite(a).all():
+        good = np.isfinite(a).all(axis=(-2, -1))
+        out = np.full_like(a, np.nan)
+        if good.any():
+            out[good] = cholesky(a[good])
+        return out
+    try:
+        return np.linalg.cholesky(a)
+    except np.linalg.LinAlgError:
+        if len(a) == 1:
+            return np.full_like(a, np.nan)
+        half = len(a) // 2
+        return np.concatenate([cholesky(a[:half]), cholesky(a[half:])])
+
+
+def solve_lower(lower: Array, b: Array) -> Array:
+    """L⁻¹ B by forward substitution; L `(run, m, m)` lower triangular, B `(run, m, k)`."""
+    x = np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
+    for i in range(lower.shape[-1]):
+        row = b[..., i, :]
+        if i:
+            row = row - (lower[..., i, None, :i] @ x[..., :i, :])[..., 0, :]
+        x[..., i, :] = row / lower[..., i, i, None]
+    return x
+
+
+def solve_lower_transposed(lower: Array, b: Array) -> Array:
+    """L⁻ᵀ B by back substitution; L `(run, m, m)` lower triangular, B `(run, m, k)`."""
+    x = np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
+    m = lower.shape[-1]
+    for i in reversed(range(m)):
+        row = b[..., i, :]
+        if i + 1 < m:
+            row = row - (lower[..., None, i + 1 :, i] @ x[..., i + 1 :, :])[..., 0, :]
+        x[..., i, :] = row / lower[..., i, i, None]
+    return x
+
+
+def quadratic_form(cov: Array, v: Array) -> Array:
+    """vᵀ P⁻¹ v `(run,)` for P `(run, n, n)` and v `(run, n)`; NaN where P has no Cholesky factor."""
+    white = solve_lower(cholesky(cov), v[..., None])[..., 0]
+    return np.einsum("...i,...i->...", white, white)
+
+
+def psd_factor(a: Array) -> Array:
+    """A square root S `(n, n)` with S Sᵀ = A for one symmetric positive semidefinite A.
+
+    By eigenvalues, since a process noise is often singular (no noise on the positions).
+    """
+    values, vectors = np.linalg.eigh(symmetrize(a))
+    return vectors * np.sqrt(np.clip(values, 0.0, None))
+
+
+def is_positive_definite(a: Array) -> bool:
+    """Whether one symmetric matrix `(n, n)` has a Cholesky factor."""
+    return bool(np.isfinite(cholesky(a[None])).all() and np.allclose(a, a.T, rtol=1e-9, atol=0))

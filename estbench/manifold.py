@@ -1,0 +1,144 @@
+"""The layout of a state or measurement space: x ⊞ δ, x ⊖ y, names and units of each coordinate.
+
+A point has `nx` numbers, its tangent `n`; they differ by one for every unit quaternion. Errors,
+covariances and NEES live in the tangent at the estimate. Rotations are body-frame, as in
+`mj_integratePos` and `mj_differentiatePos`.
+
+Source: Hertzberg et al., "Integrating generic sensor fusion algorithms with sound state
+representations through encapsulation of manifolds" (2013), Table 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import rotation
+from estbench.errors import DimensionError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Manifold:
+    """A product of real lines and unit quaternions.
+
+    Attributes:
+        names: name of each tangent coordinate, `(n,)`.
+        units: unit of each tangent coordinate, `(n,)`.
+        quaternions: `(nquat, 2)` integers: where each quaternion starts in the point, and where its
+            rotation vector starts in the tangent. Every other coordinate is a real line, in order.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    quaternions: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.units):
+            raise DimensionError(
+                f"names has {len(self.names)} entries and units {len(self.units)}; give one each"
+            )
+        quat_x = self.quaternions[:, :1] + np.arange(4)
+        quat_t = self.quaternions[:, 1:] + np.arange(3)
+        lines_x = np.setdiff1d(np.arange(self.nx), quat_x.ravel())
+        lines_t = np.setdiff1d(np.arange(self.n), quat_t.ravel())
+        for name, value in (
+            ("_quat_x", quat_x), ("_quat_t", quat_t), ("_lines_x", lines_x), ("_lines_t", lines_t),
+        ):  # fmt: skip
+            object.__setattr__(self, name, value)
+
+    _quat_x: NDArray[np.intp] = field(init=False, repr=False)
+    _quat_t: NDArray[np.intp] = field(init=False, repr=False)
+    _lines_x: NDArray[np.intp] = field(init=False, repr=False)
+    _lines_t: NDArray[np.intp] = field(init=False, repr=False)
+
+    @classmethod
+    def euclidean(
+        cls, n: int, names: Sequence[str] | None = None, units: Sequence[str] | None = None
+    ) -> "Manifold":
+        """The flat space R^n; names default to x0, x1, ... and units to 1."""
+        return cls(
+            tuple(names) if names is not None else tuple(f"x{i}" for i in range(n)),
+            tuple(units) if units is not None else ("1",) * n,
+        )
+
+    @property
+    def n(self) -> int:
+        """Dimension of the tangent space."""
+        return len(self.names)
+
+    @property
+    def nx(self) -> int:
+        """Count of numbers in a point."""
+        return self.n + len(self.quaternions)
+
+    @property
+    def flat(self) -> bool:
+        """Whether ⊞ is plain addition."""
+        return not len(self.quaternions)
+
+    def plus(self, x: Array, delta: Array) -> Array:
+        """x ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
+        if self.flat:
+            return x + delta
+        out = np.empty((*np.broadcast_shapes(x.shape[:-1], delta.shape[:-1]), self.nx))
+        out[..., self._lines_x] = x[..., self._lines_x] + delta[..., self._lines_t]
+        turned = rotation.multiply(x[..., self._quat_x], rotation.exp(delta[..., self._quat_t]))
+        out[..., self._quat_x] = rotation.normalize(turned)
+        return out
+
+    def minus(self, x: Array, y: Array) -> Array:
+        """x ⊖ y `(..., n)`: the tangent vector at y with y ⊞ (x ⊖ y) = x."""
+        if self.flat:
+            return x - y
+        out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), self.n))
+        out[..., self._lines_t] = x[..., self._lines_x] - y[..., self._lines_x]
+        q, p = rotation.normalize(x[..., self._quat_x]), rotation.normalize(y[..., self._quat_x])
+        out[..., self._quat_t] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
+        return out
+
+    def mean(self, points: Array, weights: Array, iterations: int = 20) -> Array:
+        """Weighted mean `(..., nx)` of points `(..., point, nx)`: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
+
+        On a curved space by Gauss-Newton from the first point (Hertzberg et al. 2013, eq. 21); it
+        stops when every correction is below 1e-13.
+        """
+        if self.flat:
+            return (weights @ points) if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]
+        mean = points[..., 0, :]
+        for _ in range(iterations):
+            residual = self.minus(points, mean[..., None, :])
+            delta = (
+                weights @ residual
+                if weights.ndim == 1
+                else (weights[..., None, :] @ residual)[..., 0, :]
+            )
+            mean = self.plus(mean, delta)
+            if not np.any(np.abs(delta) > 1e-13):
+                break
+        return mean
+
+    def reset_jacobian(self, delta: Array) -> Array:
+        """∂((x ⊞ (δ + e)) ⊖ (x ⊞ δ))/∂e at e = 0, `(..., n, n)`.
+
+        It carries a covariance from the tangent at x to the tangent at x ⊞ δ; the identity but for
+        the right Jacobian of each rotation vector.
+        """
+        out = np.broadcast_to(np.eye(self.n), (*delta.shape[:-1], self.n, self.n)).copy()
+        for start in self.quaternions[:, 1]:
+            block = slice(start, start + 3)
+            out[..., block, block] = rotation.right_jacobian(delta[..., block])
+        return out
+
+    def transport(self, cov: Array, delta: Array) -> Array:
+        """The covariance `(..., n, n)` in the tangent at x ⊞ δ, given that at x: J P Jᵀ."""
+        if self.flat:
+            return cov
+        jacobian = self.reset_jacobian(delta)
+        return jacobian @ cov @ np.swapaxes(jacobian, -1, -2)
+
+    def index(self, name: str) -> int:
+        """Position of the tangent coordinate `name`."""
+        return self.names.index(name)

@@ -1,0 +1,52 @@
+"""Jacobians by finite differences in the tangent space, all perturbations as rows of one call."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import ScenarioError
+from estbench.manifold import Manifold
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Differences:
+    """How to difference: `forward` (n + 1 evaluations) or `centered` (2 n + 1), and the step size.
+
+    The step is in the tangent coordinate's own unit. Forward differences err by O(step), centered
+    ones by O(step²) plus rounding of order 1e-16/step.
+    """
+
+    scheme: Literal["forward", "centered"] = "forward"
+    step: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if self.scheme not in ("forward", "centered"):
+            raise ScenarioError(f"scheme is '{self.scheme}'; use 'forward' or 'centered'")
+        if not 0 < self.step < 1:
+            raise ScenarioError(f"difference step is {self.step}; use a value in (0, 1), say 1e-6")
+
+    def directions(self, n: int) -> Array:
+        """Tangent perturbations `(point, n)`; the first is zero."""
+        step = self.step * np.eye(n)
+        parts = [np.zeros((1, n)), step] + ([-step] if self.scheme == "centered" else [])
+        return np.concatenate(parts)
+
+    def slope(self, space: Manifold, values: Array) -> Array:
+        """Jacobian `(run, m, n)` from values `(run, point, ny)` at the `directions`."""
+        change = space.minus(values[:, 1:], values[:, :1])
+        if self.scheme == "centered":
+            n = change.shape[1] // 2
+            change = 0.5 * (change[:, :n] - change[:, n:])
+        return np.swapaxes(change, -1, -2) / self.step
+
+    def jacobian(
+        self, function: Callable[[Array], Array], source: Manifold, target: Manifold, x: Array
+    ) -> tuple[Array, Array]:
+        """Value `(run, ny)` and Jacobian `(run, m, n)` of a function of `(run, point, nx)` at x."""
+        values = function(source.plus(x[:, None], self.directions(source.n)))
+        return values[:, 0], self.slope(target, values)

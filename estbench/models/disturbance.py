@@ -1,0 +1,115 @@
+"""The random disturbance on a MuJoCo model: what the truth draws is what the filter's Q describes.
+
+Over an interval dt the disturbance is N(0, ·) with covariance made from the spectral density Q_s:
+
+- `additive`: w ~ N(0, Q_s dt) in the tangent, x ⊞ w at the interval's end. The filter's Q is exact.
+- `force`: generalized forces ~ N(0, Q_s/dt), held over the interval.
+- `actuator`: ~ N(0, Q_s/dt) added to the (clamped) controls, held over the interval.
+
+For the last two Q = Γ Γᵀ, where column j of Γ is the change of the end state under the j-th column
+of a factor of Q_s/dt: the model's own response to one standard deviation of the disturbance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import CovarianceError, DimensionError
+from estbench.linalg import psd_factor
+from estbench.manifold import Manifold
+from estbench.models.layout import actuator_names
+from estbench.models.rows import Rows
+from estbench.naming import expand
+
+Array = NDArray[np.float64]
+Kind = Literal["additive", "force", "actuator"]
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """Kind and spectral density of a disturbance.
+
+    Attributes:
+        kind: where it enters.
+        density: Q_s `(k, k)`, k = n, nv or nu by kind.
+        factor: a square root of Q_s with only its nonzero columns `(k, rank)`.
+    """
+
+    kind: Kind
+    density: Array
+    factor: Array
+
+    @classmethod
+    def build(
+        cls,
+        model: mujoco.MjModel,
+        space: Manifold,
+        kind: Kind,
+        density: float | Sequence[float] | dict[str, float] = 0.0,
+        matrix: Sequence[Sequence[float]] | None = None,
+    ) -> "Disturbance":
+        """From a diagonal `density` per name, or a full `matrix`.
+
+        Raises:
+            DimensionError: wrong count of values.
+            CovarianceError: a density is negative or the matrix not positive semidefinite.
+        """
+        names = {
+            "additive": space.names,
+            "force": space.names[model.nv : 2 * model.nv],
+            "actuator": actuator_names(model),
+        }[kind]
+        if matrix is None:
+            values = expand(density, names, "process_noise.density")
+            if (values < 0).any():
+                raise CovarianceError(
+                    f"process_noise.density is negative for {names[int(values.argmin())]}: "
+                    f"{values.min():g}; a spectral density is at least 0"
+                )
+            Q = np.diag(values)
+        else:
+            Q = np.asarray(matrix, dtype=np.float64)
+            if Q.shape != (len(names), len(names)):
+                raise DimensionError(
+                    f"process_noise.matrix has shape {Q.shape}; expected {(len(names), len(names))} "
+                    f"for kind '{kind}' ({', '.join(names)})"
+                )
+            smallest = np.linalg.eigvalsh(Q).min() if np.isfinite(Q).all() else np.nan
+            if not np.allclose(Q, Q.T) or not smallest >= -1e-12 * max(1.0, np.abs(Q).max()):
+                raise CovarianceError("process_noise.matrix is not symmetric positive semidefinite")
+        factor = psd_factor(Q)
+        return cls(kind, Q, factor[:, np.abs(factor).max(axis=0, initial=0.0) > 0])
+
+    @property
+    def rank(self) -> int:
+        """Count of independent white noises."""
+        return self.factor.shape[1]
+
+    def scaled(self, scale: float) -> "Disturbance":
+        """The disturbance with Q_s times `scale`."""
+        return Disturbance(self.kind, scale * self.density, np.sqrt(scale) * self.factor)
+
+    def sample(self, white: Array, dt: float) -> Array:
+        """The disturbance `(run, k)` over dt from standard normals `(run, rank)`."""
+        return white @ self.factor.T * (np.sqrt(dt) if self.kind == "additive" else 1 / np.sqrt(dt))
+
+    def covariance(
+        self, rows: Rows, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
+    ) -> Array:
+        """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
+        if self.kind == "additive":
+            return self.density * dt
+        if not self.rank:
+            return np.zeros((space.n, space.n))
+        columns = np.concatenate([np.zeros((1, len(self.factor))), self.factor.T / np.sqrt(dt)])
+        points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
+        if self.kind == "force":
+            ends = rows.step(points, u, t, nstep, force=columns)
+        else:
+            ends = rows.step(points, u[:, None] + columns, t, nstep)
+        response = space.minus(ends[:, 1:], ends[:, :1])
+        return np.swapaxes(response, -1, -2) @ response

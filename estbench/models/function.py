@@ -1,0 +1,130 @@
+"""A model from the user's own f and h, written for one state or for a batch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import CovarianceError, DimensionError
+from estbench.linalg import is_positive_definite
+from estbench.manifold import Manifold
+from estbench.models.base import Channels
+from estbench.models.differences import Differences
+
+Array = NDArray[np.float64]
+Function = Callable[..., Array]
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionModel:
+    """x⁺ = f(x, u, t, dt) + w, y = h(x, u, t) + v in R^n (source 001, eq. 1-2).
+
+    Attributes:
+        f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`.
+        h: measurement; takes x `(..., n)`, u `(..., nu)` and t, returns `(..., m)`.
+        Q: process noise covariance of one step `(n, n)`.
+        R: measurement noise covariance `(m, m)`.
+        n_controls: count of controls.
+        f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if absent.
+        batched: whether f, h and their Jacobians take leading axes; if not they are looped over.
+        differences: scheme and step of the difference Jacobians.
+        names, units: of the state's coordinates.
+
+    Raises:
+        CovarianceError: R is not symmetric positive definite.
+        DimensionError: at a call, a function returns another shape than expected.
+    """
+
+    f: Function
+    h: Function
+    Q: Array
+    R: Array
+    n_controls: int = 0
+    f_jacobian: Function | None = None
+    h_jacobian: Function | None = None
+    batched: bool = True
+    differences: Differences = Differences("centered", 1e-5)
+    names: tuple[str, ...] | None = None
+    units: tuple[str, ...] | None = None
+    space: Manifold = field(init=False, repr=False)
+    _output: Manifold = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not is_positive_definite(self.R):
+            raise CovarianceError("R is not symmetric positive definite; raise its eigenvalues")
+        space = Manifold.euclidean(self.Q.shape[-1], self.names, self.units)
+        names = tuple(f"y{i}" for i in range(self.R.shape[-1]))
+        object.__setattr__(self, "space", space)
+        object.__setattr__(self, "_output", Manifold.euclidean(len(names), names))
+
+    @property
+    def nu(self) -> int:
+        """Count of controls."""
+        return self.n_controls
+
+    def output(self, channels: Channels = None) -> Manifold:
+        """R^m; a function model has one channel."""
+        return self._output
+
+    def transition(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
+        """f(x, u, t, dt)."""
+        return self._call("f", self.f, (self.space.n,), x, u, t, dt)
+
+    def transition_jacobian(
+        self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0
+    ) -> tuple[Array, Array]:
+        """f and ∂f/∂x."""
+        n = self.space.n
+        if self.f_jacobian is None:
+            return self.differences.jacobian(
+                lambda p: self.transition(p, u, t, dt), self.space, self.space, x
+            )
+        F = self._call("f_jacobian", self.f_jacobian, (n, n), x, u, t, dt)
+        return self.transition(x, u, t, dt), F
+
+    def process_noise(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
+        """Q."""
+        return self.Q
+
+    def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
+        """h(x, u, t)."""
+        return self._call("h", self.h, (self._output.n,), x, u, t)
+
+    def measurement_jacobian(
+        self, x: Array, u: Array, t: float = 0.0, channels: Channels = None
+    ) -> tuple[Array, Array]:
+        """h and ∂h/∂x."""
+        n, m = self.space.n, self._output.n
+        if self.h_jacobian is None:
+            return self.differences.jacobian(
+                lambda p: self.measurement(p, u, t), self.space, self._output, x
+            )
+        H = self._call("h_jacobian", self.h_jacobian, (m, n), x, u, t)
+        return self.measurement(x, u, t), H
+
+    def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
+        """R."""
+        return self.R
+
+    def _call(
+        self, name: str, function: Function, shape: tuple[int, ...], x: Array, u: Array, *time: float
+    ) -> Array:
+        """Call a user's function on `(run, n)` or `(run, point, n)` and check what it returns."""
+        if x.ndim == 3:
+            u = np.broadcast_to(u[:, None], (*x.shape[:2], u.shape[-1]))
+        lead = x.shape[:-1]
+        if self.batched:
+            out = np.asarray(function(x, u, *time), dtype=np.float64)
+            if out.shape == shape != (*lead, *shape):  # a constant Jacobian
+                out = np.broadcast_to(out, (*lead, *shape))
+        else:
+            rows = zip(x.reshape(-1, x.shape[-1]), u.reshape(-1, u.shape[-1]), strict=True)
+            out = np.array([np.asarray(function(a, b, *time), dtype=np.float64) for a, b in rows])
+            out = out.reshape(*lead, *out.shape[1:])
+        if out.shape != (*lead, *shape):
+            raise DimensionError(
+                f"{name} returned shape {out.shape}; expected {(*lead, *shape)} for x of shape "
+                f"{x.shape} (a function written for one state needs batched=False)"
+            )
+        return out

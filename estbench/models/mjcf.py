@@ -1,0 +1,220 @@
+"""Reading an MJCF and compiling the copies that the truth and the filter step.
+
+Three things are changed in every copy: warm starts are off, so that a step is a function of
+(x, u) alone; automatic resets are off, so that a state that blew up never passes for a pose; and
+controls are not clamped inside MuJoCo but before the actuator noise is added (`clamp`).
+"""
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import ScenarioError, did_you_mean
+
+Array = NDArray[np.float64]
+
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+SENSOR_TYPES = {
+    name.removeprefix("mjSENS_").lower(): getattr(mujoco.mjtSensor, name)
+    for name in dir(mujoco.mjtSensor)
+    if name.startswith("mjSENS_")
+}
+# Which kind of object a sensor of the type is attached to, where it is not a site.
+_OBJECTS = {
+    "joint": "joint", "ball": "joint", "tendon": "tendon", "actuator": "actuator", "subtree": "body",
+}  # fmt: skip
+
+
+def locate(path: str) -> Path:
+    """The file of `package:path/in/package` or of a plain path.
+
+    Raises:
+        ScenarioError: the package is not installed, or there is no such file.
+    """
+    package, colon, inside = path.partition(":")
+    if colon and len(package) > 1:  # one letter is a Windows drive
+        try:
+            file = Path(str(resources.files(package) / inside))
+        except ModuleNotFoundError:
+            raise ScenarioError(f"model.path '{path}': package '{package}' is not installed") from None
+    else:
+        file = Path(path)
+    if not file.is_file():
+        raise ScenarioError(f"model.path '{path}': no file {file}")
+    return file
+
+
+def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:
+    """The editable model of an MJCF with sensors added to it.
+
+    Args:
+        path: as for `locate`.
+        sensors: name -> object with `type`, `object`, `object_type` (see `scenario.AddSensor`).
+
+    Raises:
+        ScenarioError: the MJCF cannot be parsed, or a sensor's type or object is unknown.
+    """
+    file = locate(path)
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise ScenarioError(f"{file} is not a valid MJCF: {_one_line(error)}") from None
+    for name, sensor in (sensors or {}).items():
+        if sensor.type not in SENSOR_TYPES:
+            hint = did_you_mean(sensor.type, SENSOR_TYPES)
+            raise ScenarioError(f"channels.{name}.add.type: no sensor type '{sensor.type}'{hint}")
+        kind = sensor.object_type or next(
+            (o for prefix, o in _OBJECTS.items() if sensor.type.startswith(prefix)), "site"
+        )
+        objtype = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
+        if objtype is None:
+            raise ScenarioError(
+                f"channels.{name}.add.object_type: no object type '{kind}'; use joint, site, body, ..."
+            )
+        spec.add_sensor(
+            name=name, type=SENSOR_TYPES[sensor.type], objtype=objtype, objname=sensor.object
+        )
+    return spec
+
+
+def compile_model(
+    spec: mujoco.MjSpec,
+    *,
+    timestep: float | None = None,
+    integrator: str | None = None,
+    settings: Mapping[str, float | Sequence[float]] | None = None,
+    where: str = "model",
+) -> mujoco.MjModel:
+    """Compile a copy without delays and histories, and apply the overrides.
+
+    MuJoCo's own sensor `interval`, `delay` and `nsample` are cleared: estbench applies rates and
+    delays itself, on noise-free readings. Actuator delays cannot be cleared without changing the
+    robot, so they are refused.
+
+    Raises:
+        ScenarioError: it does not compile, has actuator delays, or an override names nothing.
+    """
+    spec = spec.copy()
+    for sensor in spec.sensors:
+        sensor.nsample, sensor.delay, sensor.interval = 0, 0.0, [0.0, 0.0]
+    for actuator in spec.actuators:
+        if actuator.nsample > 0:
+            raise ScenarioError(
+                f"actuator '{actuator.name}' has nsample={actuator.nsample}: its delay is a hidden "
+                "state that no estimator sees; remove nsample and delay from the MJCF"
+            )
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ScenarioError(f"{where}: MJCF does not compile: {_one_line(error)}") from None
+    if timestep is not None:
+        model.opt.timestep = timestep
+    if integrator is not None:
+        model.opt.integrator = INTEGRATORS[integrator]
+    for key, value in (settings or {}).items():
+        assign(model, key, value, f"{where}.set")
+    if settings:
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= (
+        flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
+    )
+    return model
+
+
+_PREFIXES = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
+    "dof": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+}
+
+
+def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | slice]:
+    """Field name and row(s) of `field.object`, e.g. `body_mass.pole`, `dof_damping.hinge`.
+
+    Raises:
+        ScenarioError: unknown field or object.
+    """
+    field, _, name = key.partition(".")
+    prefix = field.split("_")[0]
+    fields = [f for f in dir(model) if f.split("_")[0] in _PREFIXES and "_" in f]
+    if field not in fields:
+        raise ScenarioError(f"{where}: no model field '{field}'{did_you_mean(field, fields)}")
+    kind = _PREFIXES[prefix]
+    index = mujoco.mj_name2id(model, kind, name)
+    if index < 0:
+        count = {"dof": model.njnt, "jnt": model.njnt}.get(prefix, getattr(model, f"n{_N[prefix]}"))
+        names = [mujoco.mj_id2name(model, kind, i) or "" for i in range(count)]
+        raise ScenarioError(f"{where}: '{key}': no {prefix} '{name}'{did_you_mean(name, names)}")
+    if prefix != "dof":
+        return field, index
+    start = int(model.jnt_dofadr[index])
+    width = {0: 6, 1: 3}.get(int(model.jnt_type[index]), 1)
+    return field, slice(start, start + width)
+
+
+_N = {"body": "body", "geom": "geom", "actuator": "u", "tendon": "tendon", "site": "site",
+      "jnt": "jnt", "dof": "jnt"}  # fmt: skip
+
+
+def assign(
+    model: mujoco.MjModel, key: str, value: float | Sequence[float], where: str = "set"
+) -> None:
+    """Set `field.object` of a compiled model; a scalar fills a row."""
+    field, rows = parameter(model, key, where)
+    target = getattr(model, field)
+    try:
+        target[rows] = value
+    except ValueError:
+        raise ScenarioError(
+            f"{where}: '{key}' takes {np.size(target[rows])} numbers, got {np.size(value)}"
+        ) from None
+
+
+def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array]:
+    """State (qpos, qvel, act) `(nx,)` and control `(nu,)` of a keyframe.
+
+    None takes the first keyframe, or without one qpos0 at rest and zero control.
+
+    Raises:
+        ScenarioError: there is no such keyframe.
+    """
+    names = [model.key(i).name for i in range(model.nkey)]
+    if key is None:
+        if not model.nkey:
+            x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+            return x, np.zeros(model.nu)
+        key = 0
+    index = names.index(key) if key in names else key if isinstance(key, int) else -1
+    if not 0 <= index < model.nkey:
+        raise ScenarioError(f"model.keyframe: no keyframe '{key}'{did_you_mean(str(key), names)}")
+    x = np.concatenate([model.key_qpos[index], model.key_qvel[index], model.key_act[index]])
+    return x, model.key_ctrl[index].copy()
+
+
+def clamp(model: mujoco.MjModel, u: Array) -> Array:
+    """Controls `(..., nu)` clipped to the actuators' ctrlrange, as MuJoCo would."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    if not limited.any():
+        return u
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
+    high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+    return np.clip(u, low, high)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

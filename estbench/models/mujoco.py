@@ -1,0 +1,194 @@
+"""A MuJoCo model as a state-space model: steps, sensors and Jacobians, batched over runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError, ScenarioError, did_you_mean
+from estbench.manifold import Manifold
+from estbench.models import layout, mjcf
+from estbench.models.base import Channels
+from estbench.models.differences import Differences
+from estbench.models.disturbance import Disturbance
+from estbench.models.rows import Rows
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SensorChannel:
+    """One sensor of a MuJoCo model as the filter believes it.
+
+    Attributes:
+        name: the channel's name.
+        index: the MuJoCo sensor.
+        cov: R `(m, m)` in the tangent of the reading.
+    """
+
+    name: str
+    index: int
+    cov: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Selection:
+    """What is needed to read a set of channels: columns of sensordata, stage, space, R."""
+
+    columns: NDArray[np.intp]
+    stage: int
+    space: Manifold
+    R: Array
+
+
+class MujocoModel:
+    """x⁺ = `mj_step`ᵏ(x, u) ⊞ w, y = sensordata(x, u) ⊞ v.
+
+    A transition over dt is dt/timestep physics steps; only the forward stage that the channels in
+    use need is computed for a measurement. Jacobians are differences of whole steps in the tangent
+    space, so every integrator, actuator and sensor type works.
+
+    Args:
+        model: compiled by `mjcf.compile_model` (no warm start, no automatic reset, no clamping).
+        channels: the sensors in use.
+        disturbance: process noise.
+        differences: scheme and step of the Jacobians.
+        nthread: threads of the batch.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        channels: Sequence[SensorChannel],
+        disturbance: Disturbance,
+        differences: Differences | None = None,
+        nthread: int = 1,
+    ):
+        self.mjmodel = model
+        self.channels = tuple(channels)
+        self.disturbance = disturbance
+        self.differences = differences or Differences()
+        self._space = layout.state_space(model)
+        self._rows = Rows(model, nthread)
+        self._selections: dict[tuple[str, ...] | None, _Selection] = {}
+        self._steps: dict[float, int] = {}
+
+    @property
+    def space(self) -> Manifold:
+        """The manifold of (qpos, qvel, act)."""
+        return self._space
+
+    @property
+    def nu(self) -> int:
+        """Count of controls."""
+        return self.mjmodel.nu
+
+    def output(self, channels: Channels = None) -> Manifold:
+        """The manifold of the channels' readings."""
+        return self._select(channels).space
+
+    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
+        """x after dt/timestep physics steps; NaN where MuJoCo could not go on."""
+        return self._rows.step(x, self._clamp(u), t, self.steps(dt))
+
+    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
+        """f(x) and Φ by differences of whole transitions."""
+        return self.differences.jacobian(
+            lambda points: self.transition(points, u, t, dt), self._space, self._space, x
+        )
+
+    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
+        """Q of the disturbance over dt."""
+        return self.disturbance.covariance(
+            self._rows, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+        )
+
+    def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
+        """The readings at x under the control u, undisturbed."""
+        chosen = self._select(channels)
+        return self._rows.read(x, self._clamp(u), t, chosen.stage, chosen.columns)
+
+    def measurement_jacobian(
+        self, x: Array, u: Array, t: float, channels: Channels = None
+    ) -> tuple[Array, Array]:
+        """h(x) and H by differences."""
+        return self.differences.jacobian(
+            lambda points: self.measurement(points, u, t, channels),
+            self._space,
+            self.output(channels),
+            x,
+        )
+
+    def measurement_noise(self, t: float, channels: Channels = None) -> Array:
+        """R, block-diagonal over the channels."""
+        return self._select(channels).R
+
+    def steps(self, dt: float) -> int:
+        """Physics steps in dt.
+
+        Raises:
+            ScenarioError: dt is not a positive multiple of the timestep.
+        """
+        if dt not in self._steps:
+            self._steps[dt] = whole_steps(dt, self.mjmodel.opt.timestep, "dt")
+        return self._steps[dt]
+
+    def _clamp(self, u: Array) -> Array:
+        if u.shape[-1] != self.nu:
+            raise DimensionError(f"u has {u.shape[-1]} controls; expected {self.nu}")
+        return mjcf.clamp(self.mjmodel, u)
+
+    def _select(self, names: Channels) -> _Selection:
+        key = None if names is None else tuple(names)
+        if key not in self._selections:
+            self._selections[key] = self._build_selection(key)
+        return self._selections[key]
+
+    def _build_selection(self, names: tuple[str, ...] | None) -> _Selection:
+        known = {c.name: c for c in self.channels}
+        for name in names or ():
+            if name not in known:
+                raise ScenarioError(f"no channel '{name}'{did_you_mean(name, known)}")
+        chosen = self.channels if names is None else [known[name] for name in names]
+        sensors = [c.index for c in chosen]
+        space = layout.sensor_space(self.mjmodel, sensors)
+        R = np.zeros((space.n, space.n))
+        start = 0
+        for channel in chosen:
+            block = slice(start, start + len(channel.cov))
+            R[block, block] = channel.cov
+            start = block.stop
+        if start != space.n:
+            raise DimensionError(f"the channels' R have {start} rows; their readings have {space.n}")
+        return _Selection(
+            sensor_columns(self.mjmodel, sensors), needed_stage(self.mjmodel, sensors), space, R
+        )
+
+
+def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:
+    """Columns of sensordata that hold the sensors' readings, in order."""
+    parts = [np.arange(model.sensor_dim[i]) + model.sensor_adr[i] for i in sensors]
+    return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
+
+
+def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
+    """The highest pipeline stage (mjtStage) that the sensors need."""
+    return max((int(model.sensor_needstage[i]) for i in sensors), default=0)
+
+
+def whole_steps(dt: float, timestep: float, what: str) -> int:
+    """dt as a count of physics steps.
+
+    Raises:
+        ScenarioError: dt is not a positive multiple of the timestep.
+    """
+    ratio = dt / timestep
+    steps = round(ratio)
+    if steps < 1 or abs(ratio - steps) > 1e-6 * max(1.0, ratio):
+        raise ScenarioError(
+            f"{what} = {dt:g} s is not a multiple of the timestep {timestep:g} s "
+            f"(nearest: {max(steps, 1) * timestep:g} s)"
+        )
+    return steps

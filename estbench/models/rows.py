@@ -1,0 +1,168 @@
+"""Many states of one model as rows of `mujoco.batch.Batch`: step them, read their sensors.
+
+This is the only file that touches `mujoco.batch`. A row that cannot be computed (not finite, too
+large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent reset.
+"""
+
+import ctypes
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BAD_STATE = slice(
+    int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1
+)
+
+
+class Rows:
+    """Stateless stepping of any number of rows; one `Batch` is kept for each count in use.
+
+    Not safe to share between threads: give each its own.
+    """
+
+    def __init__(self, model: mujoco.MjModel, nthread: int = 1):
+        self.model = model
+        self.nthread = nthread
+        self.nx = model.nq + model.nv + model.na
+        self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+        self._batches: dict[int, Batch] = {}
+        probe = Batch(model, 1, 1)
+        address = probe.state.ctypes.data
+
+        def columns(field: str, width: int) -> slice:
+            if not width:
+                return slice(0, 0)
+            start = (probe.bind(field).ctypes.data - address) // 8
+            return slice(start, start + width)
+
+        # In the state row qpos, qvel and act follow each other: x is one block of columns.
+        self._x = columns("qpos", self.nx)
+        self._time = columns("time", 1)
+        self._ctrl = columns("ctrl", model.nu)
+        self._force = columns("qfrc_applied", model.nv)
+
+    def batch(self, count: int) -> Batch:
+        """The batch of `count` rows, with zero forces."""
+        if count not in self._batches:
+            self._batches[count] = Batch(self.model, count, self.nthread)
+            self._batches[count].bind("sensordata")
+        return self._batches[count]
+
+    def step(
+        self, x: Array, u: Array, t: float, nstep: int, force: Array | None = None
+    ) -> Array:
+        """States `(..., nx)` after `nstep` physics steps.
+
+        Args:
+            x: `(run, nx)` or `(run, point, nx)`.
+            u: controls, broadcast against x's leading axes: `(run, nu)` or `(run, point, nu)`.
+            t: time at the start, s.
+            nstep: physics steps.
+            force: generalized forces `(run, point, nv)` held over the steps.
+        """
+        batch, rows, bad = self._load(x, u, t)
+        if force is not None:
+            rows[..., self._force] = force
+        bad = self._run(batch, bad, nstep, 0)
+        out = rows[..., self._x].copy()
+        if force is not None:
+            rows[..., self._force] = 0.0
+        if bad is not None:
+            out.reshape(-1, self.nx)[bad] = np.nan
+        return out
+
+    def read(self, x: Array, u: Array, t: float, stage: int, columns: NDArray[np.intp]) -> Array:
+        """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
+        batch, _, bad = self._load(x, u, t)
+        bad = self._run(batch, bad, 0, stage)
+        out = batch.bind("sensordata")[:, columns]
+        if bad is not None:
+            out[bad] = np.nan
+        return out.reshape(*x.shape[:-1], len(columns))
+
+    def _load(self, x: Array, u: Array, t: float) -> tuple[Batch, Array, Array | None]:
+        """Write states and controls; rows that are not finite are parked at rest and returned."""
+        lead = x.shape[:-1]
+        batch = self.batch(int(np.prod(lead)))
+        rows = batch.state.reshape(*lead, -1)
+        bad = None
+        if not np.isfinite(x.sum()):
+            broken = ~np.isfinite(x).all(axis=-1)
+            if broken.any():
+                x = np.where(broken[..., None], self.rest, x)
+                bad = broken.ravel()
+        rows[..., self._x] = x
+        rows[..., self._time] = t
+        if self.model.nu:
+            rows[..., self._ctrl] = u if u.ndim == x.ndim else u[:, None]
+        return batch, rows, bad
+
+    def _run(self, batch: Batch, bad: Array | None, nstep: int, stage: int) -> Array | None:
+        """Step or run forward; the mask of rows without a result, or None."""
+        failed: Array | None = None
+        try:
+            if nstep:
+                batch.step(nstep=nstep)
+            else:
+                batch.forward(stage=stage)
+        except SimulationError as error:
+            failed = np.zeros(batch.nsim, bool)
+            failed[error.ids] = True
+        warned = batch.warning[:, _BAD_STATE, 1]
+        if warned.any():
+            blown = warned.any(axis=1)
+            failed = blown if failed is None else failed | blown
+            batch.warning[...] = 0
+        if bad is None or failed is None:
+            return bad if failed is None else failed
+        return bad | failed
+
+
+_depth = 0
+_lock = threading.Lock()
+_saved: tuple[int | None, mujoco.MjLogConfig] | None = None
+
+
+def _profiling_callback() -> ctypes.c_void_p:
+    """The pointer `mjcb_time` of the loaded library."""
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time")
+
+
+@contextmanager
+def engine() -> Iterator[None]:
+    """While batches run: no profiling callback (a third of a small step), no MUJOCO_LOG.TXT.
+
+    Both are globals of the MuJoCo library; they are restored when the last user leaves. Warnings
+    are not lost: they are counted a row, and estbench reports the runs they end.
+    """
+    global _depth, _saved
+    with _lock:
+        _depth += 1
+        if _depth == 1:
+            _saved = (_profiling_callback().value, _log_config())
+            _profiling_callback().value = None
+            quiet = _log_config()
+            quiet.logto_console, quiet.logto_file = 0, 0
+            mujoco.MjLogConfig.set(quiet)
+    try:
+        yield
+    finally:
+        with _lock:
+            _depth -= 1
+            if _depth == 0 and _saved is not None:
+                _profiling_callback().value = _saved[0]
+                mujoco.MjLogConfig.set(_saved[1])
+                _saved = None
+
+
+def _log_config() -> mujoco.MjLogConfig:
+    return mujoco.MjLogConfig.get()

@@ -1,0 +1,77 @@
+"""Unit quaternions (w, x, y, z) and rotation vectors, vectorized over leading axes.
+
+Conventions are MuJoCo's: a rotation vector is in the body frame, q ⊞ φ = q ⊗ exp(φ).
+Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter" (2017), eq. 101-103, 183.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def multiply(p: Array, q: Array) -> Array:
+    """Hamilton product p ⊗ q of quaternions `(..., 4)`."""
+    pw, px, py, pz = np.moveaxis(p, -1, 0)
+    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """Inverse of a unit quaternion `(..., 4)`."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def normalize(q: Array) -> Array:
+    """Scale quaternions `(..., 4)` to unit length; a zero quaternion becomes the identity."""
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    unit = q / np.where(norm > 0, norm, 1.0)
+    return np.where(norm > 0, unit, np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+def exp(phi: Array) -> Array:
+    """Quaternion `(..., 4)` of the rotation vector φ `(..., 3)` in rad."""
+    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    # np.sinc(z) = sin(πz)/(πz), hence sin(θ/2)/θ without a division by zero.
+    return np.concatenate(
+        [np.cos(0.5 * angle), 0.5 * np.sinc(angle / (2.0 * np.pi)) * phi], axis=-1
+    )
+
+
+def log(q: Array) -> Array:
+    """Rotation vector `(..., 3)` in rad, |φ| <= π, of a unit quaternion; q and -q give the same."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    cosine = q[..., :1]
+    small = sine < 1e-8
+    safe = np.where(small, 1.0, sine)
+    # atan2(s, c)/s -> 1/c as s -> 0; the next term is of order s², below rounding here.
+    factor = np.where(small, 2.0 / np.where(small, cosine, 1.0), 2.0 * np.arctan2(sine, cosine) / safe)
+    return factor * q[..., 1:]
+
+
+def skew(v: Array) -> Array:
+    """Matrix `(..., 3, 3)` with skew(v) w = v × w."""
+    x, y, z = np.moveaxis(v, -1, 0)
+    o = np.zeros_like(x)
+    rows = [np.stack(r, axis=-1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])]
+    return np.stack(rows, axis=-2)
+
+
+def right_jacobian(phi: Array) -> Array:
+    """J_r(φ) `(..., 3, 3)`: log(exp(φ)⁻¹ ⊗ exp(φ + e)) = J_r(φ) e + O(e²) (Solà eq. 183)."""
+    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    small = angle < 1e-4
+    t = np.where(small, 1.0, angle)
+    a = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(t)) / t**2)
+    b = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (t - np.sin(t)) / t**3)
+    cross = skew(phi)
+    return np.eye(3) - a * cross + b * (cross @ cross)

@@ -1,0 +1,296 @@
+"""The scenario: a typed, validated description of one experiment, read from TOML or a bare MJCF.
+
+Unknown keys and wrong types are reported all at once, each with its path. Quantities per coordinate
+(`PerName`) are a number, a list, or a table of glob patterns, of which the last match counts.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from estbench.errors import ScenarioError, did_you_mean
+
+PerName = float | list[float] | dict[str, float]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Section(BaseModel):
+    """A table of the scenario file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ModelSection(Section):
+    """The MJCF and how it is stepped."""
+
+    path: str = Field(description="MJCF file, relative to the scenario, or package:path/in/package")
+    keyframe: str | int | None = Field(
+        None, description="nominal state and control; default the first keyframe, else qpos0"
+    )
+    frame_skip: Annotated[int, Field(ge=1)] = Field(1, description="physics steps per filter step")
+    timestep: Positive | None = Field(None, description="s; default the MJCF's")
+    integrator: Literal["Euler", "RK4", "implicit", "implicitfast"] | None = None
+    set: dict[str, float | list[float]] = Field(
+        default_factory=dict, description="overrides 'field.object' = value, e.g. body_mass.pole"
+    )
+
+
+class Draw(Section):
+    """A model parameter drawn once a run: value (1 + relative_std z) + std z, z ~ N(0, 1)."""
+
+    relative_std: Annotated[float, Field(ge=0)] = 0.0
+    std: Annotated[float, Field(ge=0)] = 0.0
+
+
+class TruthSection(Section):
+    """Where the simulated robot differs from the MJCF."""
+
+    set: dict[str, float | list[float]] = Field(default_factory=dict)
+    draw: dict[str, Draw] = Field(default_factory=dict, description="'field.object' = {std...}")
+
+
+class FilterSection(Section):
+    """Where the filter's belief differs from the truth."""
+
+    path: str | None = Field(None, description="another MJCF with the same joints")
+    timestep: Positive | None = None
+    integrator: Literal["Euler", "RK4", "implicit", "implicitfast"] | None = None
+    set: dict[str, float | list[float]] = Field(default_factory=dict)
+    process_noise_scale: Positive = Field(1.0, description="filter's Q over the true Q")
+    measurement_noise_scale: Positive = Field(1.0, description="filter's R over the true R")
+    differences: Literal["forward", "centered"] = "forward"
+    step: Annotated[float, Field(gt=0, lt=1)] = Field(1e-6, description="difference step")
+
+
+class SimulationSection(Section):
+    """How long, how often, from which seed."""
+
+    duration: Positive = Field(5.0, description="s")
+    runs: Annotated[int, Field(ge=1)] = 200
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+class InitialSection(Section):
+    """x̂₀ (the keyframe, or these) and P₀; the true state is drawn from N(x̂₀, P₀)."""
+
+    qpos: list[float] | None = None
+    qvel: list[float] | None = None
+    act: list[float] | None = None
+    std: PerName = Field(0.05, description="per tangent coordinate, in its unit")
+    cov: list[list[float]] | None = Field(None, description="full P₀ in place of std")
+
+
+class ProcessNoiseSection(Section):
+    """Spectral density Q_s of the disturbance, true and (scaled) assumed."""
+
+    kind: Literal["additive", "force", "actuator"] = "additive"
+    density: PerName = Field(
+        0.0, description="diagonal of Q_s: (unit)²/s; forces (N or N m)² s; actuators (ctrl)² s"
+    )
+    matrix: list[list[float]] | None = Field(None, description="full Q_s in place of density")
+
+
+class AddSensor(Section):
+    """A MuJoCo sensor to add to a model without touching its XML."""
+
+    type: str = Field(description="MJCF element name, e.g. jointpos, gyro, framepos")
+    object: str = Field("", description="name of the joint, site, body, ... it is attached to")
+    object_type: str | None = Field(None, description="joint, site, body, geom, ...; guessed")
+
+
+class ChannelSection(Section):
+    """What a sensor does to the true reading."""
+
+    noise: float | list[float] | None = Field(None, description="std per axis; default MJCF noise")
+    cov: list[list[float]] | None = Field(None, description="full R in place of noise")
+    rate: Positive | None = Field(None, description="Hz; default every filter step")
+    enabled: bool = True
+    add: AddSensor | None = None
+
+
+class ControlSection(Section):
+    """What drives the robot; see `estbench.controllers`."""
+
+    kind: Literal["none", "constant", "sine", "random", "lqr", "csv", "user"] = "none"
+    observe: Literal["truth", "estimate"] = "truth"
+    value: PerName | None = Field(None, description="constant: control")
+    amplitude: PerName = Field(0.0, description="sine: peak of each term")
+    frequencies: list[Positive] = Field(default_factory=lambda: [0.5], description="sine: Hz")
+    offset: Literal["keyframe", "zero"] = Field("keyframe", description="sine, random: centre")
+    std: PerName = Field(0.0, description="random: standard deviation")
+    time_constant: Positive = Field(0.2, description="random: s")
+    state_weight: PerName = Field(1.0, description="lqr: diagonal of the state cost")
+    control_weight: PerName = Field(1.0, description="lqr: diagonal of the control cost")
+    path: str | None = Field(None, description="csv: columns t then one per actuator")
+    function: str | None = Field(None, description="user: module:function(t, x) -> u")
+
+
+class ConsistencySection(Section):
+    """How the verdict is made; see docs/statistics.md."""
+
+    level: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    tolerance: Annotated[float, Field(ge=0)] = Field(
+        0.05, description="ANEES/n within 1 ± this is consistent in practice"
+    )
+    burn_in: Annotated[float, Field(ge=0)] = Field(0.0, description="s left out at the start")
+    divergence_threshold: Positive = Field(
+        100.0, description="a run diverges when NEES/n stays above this ..."
+    )
+    divergence_duration: Annotated[float, Field(ge=0)] = Field(0.5, description="... for this, s")
+
+
+class Scenario(Section):
+    """One experiment; `load` reads it."""
+
+    name: str
+    description: str = ""
+    sensors: list[str] | None = Field(None, description="channels in use; default all")
+    model: ModelSection
+    truth: TruthSection = TruthSection()
+    filter: FilterSection = FilterSection()
+    simulation: SimulationSection = SimulationSection()
+    initial: InitialSection = InitialSection()
+    process_noise: ProcessNoiseSection = ProcessNoiseSection()
+    channels: dict[str, ChannelSection] = Field(default_factory=dict)
+    control: ControlSection = ControlSection()
+    estimators: dict[str, dict[str, Any]] = Field(
+        default_factory=lambda: {"ekf": {}, "ukf": {}},
+        description="label = {type = name, setting = value, ...}; type defaults to the label",
+    )
+    consistency: ConsistencySection = ConsistencySection()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_empty_estimators(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("estimators") == {}:
+            raise ValueError("estimators is empty; name at least one, e.g. [estimators.ekf]")
+        return data
+
+    def to_toml(self) -> str:
+        """The scenario as TOML that `load` reads back to the same value."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+
+def bundled() -> dict[str, Path]:
+    """The scenarios that ship with estbench: name -> path of its TOML file.
+
+    `assets/NAME/scenario.toml` is NAME; another `assets/NAME/OTHER.toml` is OTHER.
+    """
+    root = Path(str(resources.files("estbench") / "assets"))
+    found = {}
+    for path in sorted(root.glob("*/*.toml")):
+        found[path.parent.name if path.stem == "scenario" else path.stem] = path
+    return found
+
+
+def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario: a bundled name, a TOML file, a results folder, or a bare MJCF.
+
+    Args:
+        source: name or path.
+        overrides: `section.key=value` strings, values in TOML syntax (bare words are strings).
+
+    Raises:
+        ScenarioError: there is no such scenario, or it does not validate; every mistake is named.
+    """
+    path = _find(source)
+    if path.suffix.lower() == ".xml":
+        data: dict[str, Any] = {"name": path.stem, "model": {"path": path.name}}
+    else:
+        data = _read_toml(path)
+    for override in overrides:
+        _apply(data, override)
+    _resolve_paths(data, path.parent)
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError(f"{source}: " + "; ".join(_explain(e) for e in error.errors())) from None
+
+
+def _find(source: str | Path) -> Path:
+    path = Path(source)
+    if path.is_dir() and (path / "scenario.toml").is_file():
+        return path / "scenario.toml"
+    if path.is_file() and path.suffix.lower() in (".toml", ".xml"):
+        return path.resolve()
+    if path.is_file():
+        raise ScenarioError(f"{source} is neither .toml nor .xml; name a scenario or an MJCF file")
+    known = bundled()
+    if str(source) in known:
+        return known[str(source)]
+    kind = "file" if path.suffix in (".toml", ".xml") else "scenario"
+    raise ScenarioError(f"no {kind} '{source}'{did_you_mean(str(source), known)}")
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name} is not valid TOML: {error}") from None
+    except OSError as error:
+        raise ScenarioError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _apply(data: dict[str, Any], override: str) -> None:
+    """Set one `a.b.c=value` in nested tables; a quoted part may hold dots or globs."""
+    key, equals, text = override.partition("=")
+    if not equals or not key.strip():
+        raise ScenarioError(f"--set {override!r} is not of the form section.key=value")
+    try:
+        value = tomllib.loads(f"v = {text}")["v"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    try:
+        parts = tomllib.loads(f"{key} = 0")
+    except tomllib.TOMLDecodeError:
+        raise ScenarioError(f"--set {override!r}: '{key}' is not a dotted TOML key") from None
+    table = data
+    while True:
+        (part, rest), *_ = parts.items()
+        if not isinstance(rest, dict):
+            table[part] = value
+            return
+        table, parts = table.setdefault(part, {}), rest
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {override!r}: '{part}' is a value, not a section")
+
+
+def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
+    """Make relative files absolute, so that the saved scenario still finds them."""
+    for section in ("model", "filter", "control"):
+        table = data.get(section)
+        if isinstance(table, dict) and isinstance(path := table.get("path"), str):
+            is_file = ":" not in path.split("/")[0]
+            table["path"] = _portable(folder / path) if is_file else path
+
+
+def _portable(path: Path) -> str:
+    """`estbench:assets/...` for a file that ships with estbench, else the absolute path."""
+    root = Path(str(resources.files("estbench") / "assets")).resolve()
+    resolved = path.resolve()
+    if resolved.is_relative_to(root):
+        return f"estbench:assets/{resolved.relative_to(root).as_posix()}"
+    return str(resolved)
+
+
+def _explain(error: Any) -> str:
+    """One mistake as `path: what is wrong (did you mean ...)`."""
+    where = ".".join(str(part) for part in error["loc"]) or "scenario"
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "extra_forbidden":
+        fields: Any = Scenario
+        for part in error["loc"][:-1]:
+            info = getattr(fields, "model_fields", {}).get(part)
+            fields = info.annotation if info is not None else None
+        known = getattr(fields, "model_fields", None) or (
+            ChannelSection.model_fields if error["loc"][0] == "channels" else {}
+        )
+        return f"{where}: unknown key{did_you_mean(str(error['loc'][-1]), known)}"
+    given = error.get("input")
+    shown = f", got {given!r}" if isinstance(given, str | int | float | bool) else ""
+    return f"{where}: {message}{shown}"
