@@ -80,7 +80,7 @@ class Manifold:
         return not len(self.quaternions)
 
     def plus(self, x: Array, delta: Array) -> Array:
-        """x ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
+        """X ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
         if self.flat:
             return x + delta
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], delta.shape[:-1]), self.nx))
@@ -90,7 +90,7 @@ class Manifold:
         return out
 
     def minus(self, x: Array, y: Array) -> Array:
-        """x ⊖ y `(..., n)`: the tangent vector at y with y ⊞ (x ⊖ y) = x."""
+        """X ⊖ y `(..., n)`: the tangent vector at y with y ⊞ (x ⊖ y) = x."""
         if self.flat:
             return x - y
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), self.n))
@@ -106,7 +106,11 @@ class Manifold:
         stops when every correction is below 1e-13.
         """
         if self.flat:
-            return (weights @ points) if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]
+            return (
+                (weights @ points)
+                if weights.ndim == 1
+                else (weights[..., None, :] @ points)[..., 0, :]
+            )
         mean = points[..., 0, :]
         for _ in range(iterations):
             residual = self.minus(points, mean[..., None, :])

@@ -36,7 +36,9 @@ def expand(
         for pattern, number in value.items():
             hit = [fnmatchcase(name, pattern) for name in names]
             if not any(hit) and names:
-                raise ScenarioError(f"{what}: '{pattern}' matches none{did_you_mean(pattern, names)}")
+                raise ScenarioError(
+                    f"{what}: '{pattern}' matches none{did_you_mean(pattern, names)}"
+                )
             out[hit] = number
         return out
     array = np.atleast_1d(np.asarray(value, dtype=np.float64))

@@ -54,7 +54,9 @@ def log(q: Array) -> Array:
     small = sine < 1e-8
     safe = np.where(small, 1.0, sine)
     # atan2(s, c)/s -> 1/c as s -> 0; the next term is of order s², below rounding here.
-    factor = np.where(small, 2.0 / np.where(small, cosine, 1.0), 2.0 * np.arctan2(sine, cosine) / safe)
+    factor = np.where(
+        small, 2.0 / np.where(small, cosine, 1.0), 2.0 * np.arctan2(sine, cosine) / safe
+    )
     return factor * q[..., 1:]
 
 

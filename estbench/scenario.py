@@ -203,13 +203,32 @@ def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         data: dict[str, Any] = {"name": path.stem, "model": {"path": path.name}}
     else:
         data = _read_toml(path)
-    for override in overrides:
-        _apply(data, override)
     _resolve_paths(data, path.parent)
+    return _validate(data, overrides, str(source))
+
+
+def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """The scenario with `section.key=value` strings applied.
+
+    Raises:
+        ScenarioError: the result does not validate.
+    """
+    if not overrides:
+        return scenario
+    return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
+
+
+def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Scenario:
+    """Apply the overrides (their paths are relative to the current folder) and validate."""
+    for text in overrides:
+        _apply(data, text)
+    _resolve_paths(data, Path.cwd())
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
-        raise ScenarioError(f"{source}: " + "; ".join(_explain(e) for e in error.errors())) from None
+        raise ScenarioError(
+            f"{source}: " + "; ".join(_explain(e) for e in error.errors())
+        ) from None
 
 
 def _find(source: str | Path) -> Path:

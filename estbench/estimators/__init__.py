@@ -1,0 +1,1 @@
+"""Estimators, one algorithm a file, behind the protocol of `estbench.estimators.base`."""

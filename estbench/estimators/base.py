@@ -22,6 +22,7 @@ class Fault(IntEnum):
     STATE = 1
     COVARIANCE = 2
     INNOVATION = 3
+    TRUTH = 4
 
     @property
     def text(self) -> str:
@@ -31,6 +32,7 @@ class Fault(IntEnum):
             "the estimate is not finite",
             "the state covariance P is not positive definite",
             "the innovation covariance S is not positive definite",
+            "the simulation of the truth failed",
         )[self]
 
 

@@ -6,7 +6,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Gaussian, GaussianEstimator, Innovation, correct, marked, settle
+from estbench.estimators.base import (
+    Gaussian,
+    GaussianEstimator,
+    Innovation,
+    correct,
+    marked,
+    settle,
+)
 from estbench.estimators.settings import one_of
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels, Model

@@ -76,7 +76,9 @@ def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
     accepted = [p for p in inspect.signature(cls).parameters if p not in ("model", "self")]
     for setting in arguments:
         if setting not in accepted:
-            raise EstimatorError(f"{label}: no setting '{setting}'{did_you_mean(setting, accepted)}")
+            raise EstimatorError(
+                f"{label}: no setting '{setting}'{did_you_mean(setting, accepted)}"
+            )
     try:
         return cls(model, **arguments)
     except EstbenchError:

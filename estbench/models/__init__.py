@@ -1,0 +1,1 @@
+"""State-space models: the protocol, linear and function models, and MuJoCo."""

@@ -74,7 +74,7 @@ class FunctionModel:
     def transition_jacobian(
         self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0
     ) -> tuple[Array, Array]:
-        """f and ∂f/∂x."""
+        """F and ∂f/∂x."""
         n = self.space.n
         if self.f_jacobian is None:
             return self.differences.jacobian(
@@ -94,7 +94,7 @@ class FunctionModel:
     def measurement_jacobian(
         self, x: Array, u: Array, t: float = 0.0, channels: Channels = None
     ) -> tuple[Array, Array]:
-        """h and ∂h/∂x."""
+        """H and ∂h/∂x."""
         n, m = self.space.n, self._output.n
         if self.h_jacobian is None:
             return self.differences.jacobian(
@@ -108,7 +108,13 @@ class FunctionModel:
         return self.R
 
     def _call(
-        self, name: str, function: Function, shape: tuple[int, ...], x: Array, u: Array, *time: float
+        self,
+        name: str,
+        function: Function,
+        shape: tuple[int, ...],
+        x: Array,
+        u: Array,
+        *time: float,
     ) -> Array:
         """Call a user's function on `(run, n)` or `(run, point, n)` and check what it returns."""
         if x.ndim == 3:

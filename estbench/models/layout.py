@@ -101,7 +101,9 @@ def sensor_space(model: mujoco.MjModel, sensors: Sequence[int]) -> Manifold:
         if quaternion:
             quaternions.append([start, len(names)])
         n = 3 if quaternion else width
-        suffixes = [""] if n == 1 else [f".{a}" for a in _AXES] if n == 3 else [f".{k}" for k in range(n)]
+        suffixes = (
+            [""] if n == 1 else [f".{a}" for a in _AXES] if n == 3 else [f".{k}" for k in range(n)]
+        )
         names += [name + s for s in suffixes]
         units += [sensor_unit(model, i)] * n
         start += width

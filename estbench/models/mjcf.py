@@ -46,7 +46,9 @@ def locate(path: str) -> Path:
         try:
             file = Path(str(resources.files(package) / inside))
         except ModuleNotFoundError:
-            raise ScenarioError(f"model.path '{path}': package '{package}' is not installed") from None
+            raise ScenarioError(
+                f"model.path '{path}': package '{package}' is not installed"
+            ) from None
     else:
         file = Path(path)
     if not file.is_file():

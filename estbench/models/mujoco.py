@@ -90,7 +90,7 @@ class MujocoModel:
         return self._select(channels).space
 
     def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """x after dt/timestep physics steps; NaN where MuJoCo could not go on."""
+        """X after dt/timestep physics steps; NaN where MuJoCo could not go on."""
         return self._rows.step(x, self._clamp(u), t, self.steps(dt))
 
     def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
@@ -161,7 +161,9 @@ class MujocoModel:
             R[block, block] = channel.cov
             start = block.stop
         if start != space.n:
-            raise DimensionError(f"the channels' R have {start} rows; their readings have {space.n}")
+            raise DimensionError(
+                f"the channels' R have {start} rows; their readings have {space.n}"
+            )
         return _Selection(
             sensor_columns(self.mjmodel, sensors), needed_stage(self.mjmodel, sensors), space, R
         )
@@ -179,7 +181,7 @@ def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
 
 
 def whole_steps(dt: float, timestep: float, what: str) -> int:
-    """dt as a count of physics steps.
+    """Dt as a count of physics steps.
 
     Raises:
         ScenarioError: dt is not a positive multiple of the timestep.

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_BAD_STATE = slice(
-    int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1
-)
+_BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
 
 
 class Rows:
@@ -56,9 +54,13 @@ class Rows:
             self._batches[count].bind("sensordata")
         return self._batches[count]
 
-    def step(
-        self, x: Array, u: Array, t: float, nstep: int, force: Array | None = None
-    ) -> Array:
+    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
+        """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
+        batch = self.batch(count)
+        batch.expand(field)[:, index] = values
+        batch.set_const()
+
+    def step(self, x: Array, u: Array, t: float, nstep: int, force: Array | None = None) -> Array:
         """States `(..., nx)` after `nstep` physics steps.
 
         Args:

@@ -1,0 +1,135 @@
+"""The command line: `estbench run | list | check`."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from estbench import experiment, inspection, store
+from estbench.errors import EstbenchError
+
+app = typer.Typer(
+    help="Which filter, with which sensors, on this robot, and can I trust its covariance?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+Scenario = Annotated[
+    str, typer.Argument(help="bundled name, scenario .toml, MJCF .xml, or a results folder")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override the scenario; repeatable"),
+]
+
+
+@app.command(
+    epilog="Example: estbench run cartpole -e ekf -e ukf --runs 500 "
+    "--set filter.process_noise_scale=0.01"
+)
+def run(
+    scenario: Scenario,
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option("--estimator", "-e", help="name, label or package.module:Name; repeatable"),
+    ] = None,
+    runs: Annotated[int | None, typer.Option(help="count of Monte Carlo runs")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of all random numbers")] = None,
+    duration: Annotated[float | None, typer.Option(help="length of a run, s")] = None,
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option(help="results folder; default results/SCENARIO-TIME")
+    ] = None,
+    keep: Annotated[
+        Literal["summary", "diagonal", "full"],
+        typer.Option(help="what is stored of every run: averages; + traces; + covariances"),
+    ] = "diagonal",
+    threads: Annotated[int | None, typer.Option(min=1, help="default: all CPUs")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of tables")] = False,
+) -> None:
+    """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
+    resolved = experiment.resolve(scenario, estimator, runs, seed, duration, overrides or ())
+    folder = out if out is not None else store.default_folder(resolved.name)
+    with _progress(resolved.simulation.runs) as progress:
+        results = experiment.run(
+            resolved, out=folder, keep=keep, threads=threads, progress=progress
+        )
+    if as_json:
+        print(results.to_json())
+    else:
+        _console().print(results.render())
+    if results.interrupted:
+        raise typer.Exit(130)
+
+
+@app.command("list", epilog="Example: estbench list")
+def list_(
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of tables")] = False,
+) -> None:
+    """Show the scenarios, estimators, controllers and sensor types there are."""
+    if as_json:
+        print(json.dumps(inspection.catalogue(), indent=2))
+    else:
+        _console().print(inspection.render_catalogue())
+
+
+@app.command(epilog="Example: estbench check quadrotor")
+def check(scenario: Scenario, overrides: Overrides = None) -> None:
+    """Load a scenario or MJCF and show its states, sensors, rates, noise and what looks wrong."""
+    _console().print(
+        inspection.render_check(experiment.resolve(scenario, overrides=overrides or ()))
+    )
+
+
+def _console() -> Console:
+    """Colour and full width on a terminal only; 100 columns elsewhere."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=100)
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, a line every ten seconds elsewhere; both on stderr."""
+    if sys.stderr.isatty():
+        columns = (
+            TextColumn("{task.completed:.0f}/{task.total:.0f} runs"),
+            BarColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("runs", total=total)
+            yield lambda done, total: bar.update(task, completed=done)
+        return
+    began = last = time.monotonic()
+
+    def line(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= 10 or (done == total and now - began > 2):
+            last = now
+            print(f"{done}/{total} runs, {now - began:.0f} s", file=sys.stderr, flush=True)
+
+    yield line
+
+
+def main() -> None:
+    """Entry point: an `EstbenchError` is one line on stderr and exit code 2, never a traceback."""
+    try:
+        app()
+    except EstbenchError as error:
+        print(f"estbench: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        os._exit(0)  # the reader (head, less) has gone; nothing is left to say

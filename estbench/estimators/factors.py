@@ -1,0 +1,159 @@
+"""Triangular factors of covariances: by QR, by rank-one updates, and beliefs that carry them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError
+from estbench.estimators.base import Fault, Gaussian, Innovation, marked
+from estbench.linalg import cholesky, solve_lower
+from estbench.manifold import Manifold
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FactorBelief:
+    """A Gaussian belief by a factor: mean `(run, nx)`, lower triangular L `(run, n, n)`, P = L Lᵀ.
+
+    A failed run has NaN in both and its `Fault` in `fault` `(run,)`.
+    """
+
+    mean: Array
+    factor: Array
+    fault: NDArray[np.uint8]
+
+    @property
+    def cov(self) -> Array:
+        """P = L Lᵀ `(run, n, n)`."""
+        return self.factor @ np.swapaxes(self.factor, -1, -2)
+
+
+class FactorEstimator:
+    """Shared by the square-root filters: init, mean and cov."""
+
+    def init(self, mean: Array, cov: Array) -> FactorBelief:
+        """Start from mean `(run, nx)` and cov `(run, n, n)`, which may be semidefinite."""
+        if mean.ndim != 2 or cov.ndim != 3 or len(mean) != len(cov):
+            raise DimensionError(
+                f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n)"
+            )
+        factor = triangular(psd_root(cov))
+        return factor_belief(mean, factor, np.zeros(len(mean), np.uint8), lost(factor, cov))
+
+    def mean(self, belief: FactorBelief) -> Array:
+        """x̂ `(run, nx)`."""
+        return belief.mean
+
+    def cov(self, belief: FactorBelief) -> Array:
+        """P = L Lᵀ `(run, n, n)`."""
+        return belief.cov
+
+
+def factor_belief(
+    mean: Array, factor: Array, fault: NDArray[np.uint8], new: Any = 0
+) -> FactorBelief:
+    """A belief with every run that is not finite, or has a `new` fault, set to NaN and marked."""
+    checked = marked(Gaussian(mean, factor, fault), new)
+    return FactorBelief(checked.mean, checked.cov, checked.fault)
+
+
+def factor_settle(
+    space: Manifold, prior: FactorBelief, delta: Array, factor: Array, fault: Any = 0
+) -> FactorBelief:
+    """The posterior x̂⁻ ⊞ δ with its factor carried to the new tangent, J L, made triangular."""
+    if not space.flat:
+        factor = triangular(space.reset_jacobian(delta) @ factor)
+    return factor_belief(space.plus(prior.mean, delta), factor, prior.fault, fault)
+
+
+def lost(
+    factor: Array, ingredients: Array, code: Fault = Fault.COVARIANCE
+) -> NDArray[np.uint8]:
+    """The fault `(run,)` where a factor is not finite although what it was made of is."""
+    failed = ~np.isfinite(factor).all(axis=(-2, -1))
+    failed = failed & np.isfinite(ingredients).all(axis=(-2, -1))
+    return np.where(failed, code, Fault.NONE).astype(np.uint8)
+
+
+def triangular(root: Array) -> Array:
+    """Lower L `(run, n, n)` with L Lᵀ = A Aᵀ for A `(run, n, k)`, k >= n, by QR of Aᵀ.
+
+    The diagonal is not negative, so L is the Cholesky factor where A Aᵀ is positive definite.
+    """
+    upper = np.linalg.qr(np.swapaxes(root, -1, -2), mode="r")
+    sign = np.where(np.diagonal(upper, axis1=-2, axis2=-1) < 0, -1.0, 1.0)
+    return np.swapaxes(upper * sign[..., None], -1, -2)
+
+
+def psd_root(a: Array) -> Array:
+    """A square root S with S Sᵀ = A, `(n, n)` or `(run, n, n)`, of semidefinite matrices.
+
+    Cholesky where there is a factor, else by eigenvalues. NaN where a matrix is not finite or has
+    an eigenvalue below -1e-10 of its largest.
+    """
+    stack = a if a.ndim == 3 else a[None]
+    out = cholesky(stack)
+    rest = ~np.isfinite(out).all(axis=(-2, -1)) & np.isfinite(stack).all(axis=(-2, -1))
+    if rest.any():
+        values, vectors = np.linalg.eigh(stack[rest])
+        floor = -1e-10 * np.abs(values).max(axis=-1, keepdims=True)
+        values = np.where(values < floor, np.nan, np.maximum(values, 0.0))
+        out[rest] = vectors * np.sqrt(values)[:, None, :]
+    return out if a.ndim == 3 else out[0]
+
+
+def noise_root(R: Array, mask: NDArray[np.bool_] | None, runs: int) -> Array:
+    """The Cholesky factor of R `(run, m, m)`, that of the identity where nothing arrived."""
+    if mask is not None:
+        R = np.where(mask[:, :, None] & mask[:, None, :], R, np.eye(R.shape[-1]))
+    lower = cholesky(R if R.ndim == 3 else R[None])
+    return np.broadcast_to(lower, (runs, *lower.shape[-2:]))
+
+
+def factor_innovation(
+    residual: Array, root: Array, mask: NDArray[np.bool_] | None = None
+) -> Innovation:
+    """ν, S, L⁻¹ ν and NIS from ν `(run, m)`, zero where nothing arrived, and a factor of S."""
+    white = solve_lower(root, residual[..., None])[..., 0]
+    S = root @ np.swapaxes(root, -1, -2)
+    dof = np.full(len(root), root.shape[-1])
+    if mask is not None:
+        # QR leaves rounding where the factor of the identity belongs.
+        white = np.where(mask, white, 0.0)
+        S = np.where(mask[:, :, None] & mask[:, None, :], S, np.eye(S.shape[-1]))
+        dof = mask.sum(axis=-1)
+    return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof)
+
+
+def cholesky_update(factor: Array, vector: Array, weight: float = 1.0) -> Array:
+    """The Cholesky factor of L Lᵀ + w v vᵀ, all runs at once; NaN where that is not definite.
+
+    Column by column: a plane rotation takes v's component into the diagonal for w > 0 (LINPACK
+    `dchud`), a hyperbolic one in its mixed, stable form for w < 0 (Golub & Van Loan, Matrix
+    Computations, 4th ed., sec. 6.5.4). n vectorized steps of O(n) each.
+
+    Args:
+        factor: L lower triangular `(run, n, n)`.
+        vector: v `(run, n)`.
+        weight: w, of either sign.
+    """
+    out, x = factor.copy(), np.sqrt(abs(weight)) * vector
+    for k in range(factor.shape[-1]):
+        column, pivot, head = out[:, k:, k].copy(), out[:, k, k, None], x[:, k, None]
+        if weight >= 0:
+            r = np.hypot(pivot, head)
+            r, pivot = np.where(r > 0, r, 1.0), np.where(r > 0, pivot, 1.0)
+            cosine, sine = pivot / r, head / r
+            out[:, k:, k] = cosine * column + sine * x[:, k:]
+            x[:, k:] = cosine * x[:, k:] - sine * column
+        else:
+            safe = np.where(pivot > 0, pivot, np.nan)
+            sine = head / safe
+            square = (1.0 - sine) * (1.0 + sine)
+            cosine = np.sqrt(np.where(square > 0, square, np.nan))
+            out[:, k:, k] = (column - sine * x[:, k:]) / cosine
+            x[:, k:] = cosine * x[:, k:] - sine * out[:, k:, k]
+    return out

@@ -1,0 +1,156 @@
+"""Kalman filter on a model linearized once (source 003, eq. 2-4)."""
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstimatorError
+from estbench.estimators.base import (
+    Gaussian,
+    GaussianEstimator,
+    Innovation,
+    correct,
+    marked,
+    settle,
+)
+from estbench.linalg import symmetrize
+from estbench.manifold import Manifold
+from estbench.models.base import Channels, Model
+
+Array = NDArray[np.float64]
+Belief = TypeVar("Belief", bound=Gaussian)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedBelief(Gaussian):
+    """A Gaussian with the operating point it is linearized about.
+
+    Attributes:
+        point: x₀ `(run, nx)`, the initial mean of each run.
+        jacobians: F of each dt and H of each set of channels met so far, `(run, ., n)`; a new one
+            makes a new mapping, none is changed in place.
+    """
+
+    point: Array
+    jacobians: Mapping[Hashable, Array]
+
+
+@dataclass(frozen=True)
+class KF(GaussianEstimator):
+    """Textbook Kalman filter with feedthrough; exact for `LinearModel`.
+
+    x̂⁻ = f(x₀, u) ⊞ F (x̂⁺ ⊖ x₀) and ŷ = h(x₀, u) ⊞ H (x̂⁻ ⊖ x₀), with F and H taken once at the
+    operating point x₀, u₀. For a linear model these are A x̂ + B u and C x̂ + D u, A and C constant
+    (source 003, eq. 2-3). The control enters through f and h themselves, so no B or D is needed.
+
+    Cost per step: one transition and one measurement a run, besides what Q asks; n + 1 of each at
+    the first step with forward differences. Choose it for a linear model, or for a robot regulated
+    about its initial state, as the cheapest filter there is.
+
+    Attributes:
+        model: the filter's model.
+        u0: control of the operating point `(nu,)`; zeros by default.
+    """
+
+    model: Model
+    u0: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        u0 = np.zeros(self.model.nu) if self.u0 is None else np.asarray(self.u0)
+        if u0.shape != (self.model.nu,) or u0.dtype.kind not in "fi" or not np.isfinite(u0).all():
+            raise EstimatorError(
+                f"KF: u0 is {self.u0!r}; use {self.model.nu} finite numbers, one a control"
+            )
+        object.__setattr__(self, "u0", tuple(u0.tolist()))
+
+    def init(self, mean: Array, cov: Array) -> FixedBelief:
+        """Start from mean `(run, nx)`, which is also the operating point, and cov `(run, n, n)`."""
+        start = super().init(mean, cov)
+        return FixedBelief(start.mean, start.cov, start.fault, start.mean, {})
+
+    def predict(self, belief: FixedBelief, u: Array, t: float, dt: float) -> FixedBelief:
+        """x̂⁻ and P⁻ = F P⁺ Fᵀ + Q (source 003, eq. 2)."""
+        model, point, key = self.model, belief.point, f"{dt:.9g}"
+        if key not in belief.jacobians:
+            _, F = model.transition_jacobian(point, self._operating_control(point), t, dt)
+            belief = replace(belief, jacobians={**belief.jacobians, key: F})
+        image = model.transition(point, u, t, dt)
+        mean, F = tangent_map(
+            model.space, model.space, belief.mean, point, image, belief.jacobians[key]
+        )
+        Q = model.process_noise(point, u, t, dt)
+        cov = symmetrize(F @ belief.cov @ np.swapaxes(F, -1, -2) + Q)
+        return cast(FixedBelief, marked(replace(belief, mean=mean, cov=cov)))
+
+    def update(
+        self,
+        belief: FixedBelief,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[FixedBelief, Innovation]:
+        """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ) (source 003, eq. 3-4), the covariance in Joseph's form."""
+        model, point = self.model, belief.point
+        key = None if channels is None else tuple(channels)
+        if key not in belief.jacobians:
+            _, H = model.measurement_jacobian(point, self._operating_control(point), t, channels)
+            belief = replace(belief, jacobians={**belief.jacobians, key: H})
+        output, image = model.output(channels), model.measurement(point, u, t, channels)
+        predicted, H = tangent_map(
+            model.space, output, belief.mean, point, image, belief.jacobians[key]
+        )
+        R = model.measurement_noise(t, channels)
+        return linear_update(model.space, belief, output.minus(y, predicted), H, R, mask)
+
+    def _operating_control(self, point: Array) -> Array:
+        return np.broadcast_to(np.asarray(self.u0, dtype=np.float64), (len(point), self.model.nu))
+
+
+def tangent_map(
+    source: Manifold, target: Manifold, x: Array, point: Array, image: Array, slope: Array
+) -> tuple[Array, Array]:
+    """A function replaced by its tangent at a point: image ⊞ M (x ⊖ point), and its Jacobian at x.
+
+    On a curved space M acts between the tangents at the point and at its image; the Jacobian acts
+    between those at x and at the value: J(M δ) M J(δ)⁻¹ with the reset Jacobian J, δ = x ⊖ point.
+
+    Args:
+        source: space of x.
+        target: space of the value.
+        x: where it is evaluated `(run, nx)`.
+        point: where the slope was taken `(run, nx)`.
+        image: the function at the point `(run, ny)`.
+        slope: M `(run, m, n)`.
+    """
+    inward = source.minus(x, point)
+    outward = (slope @ inward[..., None])[..., 0]
+    if not source.flat:
+        transposed = np.swapaxes(source.reset_jacobian(inward), -1, -2)
+        slope = np.swapaxes(np.linalg.solve(transposed, np.swapaxes(slope, -1, -2)), -1, -2)
+    if not target.flat:
+        slope = target.reset_jacobian(outward) @ slope
+    return target.plus(image, outward), slope
+
+
+def linear_update(
+    space: Manifold,
+    belief: Belief,
+    residual: Array,
+    H: Array,
+    R: Array,
+    mask: NDArray[np.bool_] | None = None,
+) -> tuple[Belief, Innovation]:
+    """Condition on ν = H e + v: K = P Hᵀ S⁻¹, P⁺ = (I - K H) P (I - K H)ᵀ + K R Kᵀ (Bishop, eq. 19)."""
+    P = belief.cov
+    PHt = P @ np.swapaxes(H, -1, -2)
+    c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
+    # A component that did not arrive has a zero column in K, so H and R need no mask.
+    A = np.eye(P.shape[-1]) - c.gain @ H
+    cov = A @ P @ np.swapaxes(A, -1, -2) + c.gain @ R @ np.swapaxes(c.gain, -1, -2)
+    posterior = settle(space, belief, c.delta, symmetrize(cov), c.fault)
+    return cast(Belief, posterior), c.innovation

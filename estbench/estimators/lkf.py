@@ -1,0 +1,110 @@
+"""Linearized Kalman filter about a nominal trajectory (source 002, Ahmed, ASEN 5044 lecture 32)."""
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.base import Gaussian, GaussianEstimator, Innovation, marked
+from estbench.estimators.kf import linear_update, tangent_map
+from estbench.estimators.settings import in_range
+from estbench.linalg import quadratic_form, symmetrize
+from estbench.models.base import Channels, Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class NominalBelief(Gaussian):
+    """A Gaussian with the nominal state it is linearized about; the deviation is x̂ ⊖ x*.
+
+    Attributes:
+        nominal: x* `(run, nx)`.
+        handed: whether the run has been handed over to the EKF `(run,)`.
+    """
+
+    nominal: Array
+    handed: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LKF(GaussianEstimator):
+    """Estimates the deviation from a nominal trajectory, and hands over to the EKF if asked.
+
+    The nominal x* starts at the initial mean and follows the model under the same controls without
+    noise. Both mean and covariance use the linearization about it (source 002, "linearized KF"):
+    x̂⁻ = f(x*, u) ⊞ Φ (x̂⁺ ⊖ x*), ŷ = h(x*, u) ⊞ H (x̂⁻ ⊖ x*). The gains do not depend on the
+    measurements. A run that is handed over takes x* = x̂ from then on, which is the EKF.
+
+    Cost per step: n + 1 transitions and n + 1 measurements a run with forward differences. Choose
+    it where the robot follows its nominal closely, or to start an EKF safely through the transient
+    of a bad initial estimate.
+
+    Attributes:
+        model: the filter's model.
+        handover_time: time from which every run is an EKF, s; None for never.
+        handover_sigma: a run becomes an EKF once sqrt(δᵀ P⁻¹ δ) of its deviation δ = x̂ ⊖ x*
+            exceeds this; None for never.
+    """
+
+    model: Model
+    handover_time: float | None = None
+    handover_sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.handover_time is not None:
+            in_range(self, "handover_time", 0.0)
+        if self.handover_sigma is not None:
+            in_range(self, "handover_sigma", 0.0)
+
+    def init(self, mean: Array, cov: Array) -> NominalBelief:
+        """Start from mean `(run, nx)`, which is also the nominal state, and cov `(run, n, n)`."""
+        start = super().init(mean, cov)
+        return NominalBelief(start.mean, start.cov, start.fault, start.mean, np.zeros(len(mean), bool))
+
+    def predict(self, belief: NominalBelief, u: Array, t: float, dt: float) -> NominalBelief:
+        """Move the nominal, x̂⁻ and P⁻ = Φ P⁺ Φᵀ + Q, with Φ and Q at x*."""
+        model, belief = self.model, self._handed_over(belief, t)
+        nominal, slope = model.transition_jacobian(belief.nominal, u, t, dt)
+        mean, F = tangent_map(
+            model.space, model.space, belief.mean, belief.nominal, nominal, slope
+        )
+        Q = model.process_noise(belief.nominal, u, t, dt)
+        cov = symmetrize(F @ belief.cov @ np.swapaxes(F, -1, -2) + Q)
+        return cast(
+            NominalBelief, marked(replace(belief, mean=mean, cov=cov, nominal=nominal))
+        )
+
+    def update(
+        self,
+        belief: NominalBelief,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[NominalBelief, Innovation]:
+        """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ), K from H at x*; the nominal stays."""
+        model, belief = self.model, self._handed_over(belief, t)
+        output = model.output(channels)
+        image, slope = model.measurement_jacobian(belief.nominal, u, t, channels)
+        predicted, H = tangent_map(
+            model.space, output, belief.mean, belief.nominal, image, slope
+        )
+        R = model.measurement_noise(t, channels)
+        return linear_update(model.space, belief, output.minus(y, predicted), H, R, mask)
+
+    def _handed_over(self, belief: NominalBelief, t: float) -> NominalBelief:
+        """Mark the runs that are due and set the nominal of all handed runs to their estimate."""
+        handed = belief.handed
+        if self.handover_time is not None and t >= self.handover_time - 1e-9:
+            handed = np.ones_like(handed)
+        if self.handover_sigma is not None and not handed.all():
+            # δ is an eigenvector of the reset Jacobian (eigenvalue 1): the same at x* and at x̂.
+            delta = self.model.space.minus(belief.mean, belief.nominal)
+            handed = handed | (quadratic_form(belief.cov, delta) > self.handover_sigma**2)
+        if not handed.any():
+            return belief
+        nominal = np.where(handed[:, None], belief.mean, belief.nominal)
+        return replace(belief, nominal=nominal, handed=handed)

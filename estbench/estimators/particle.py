@@ -1,0 +1,197 @@
+"""Bootstrap particle filter (Gordon, Salmond & Smith 1993; Arulampalam et al. 2002, alg. 4)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import random
+from estbench.estimators.base import Fault, Innovation, correct
+from estbench.estimators.enkf import Ensemble, diffuse, draw, whole
+from estbench.estimators.settings import in_range
+from estbench.linalg import cholesky, solve_lower, symmetrize
+from estbench.manifold import Manifold
+from estbench.models.base import Channels, Model
+
+Array = NDArray[np.float64]
+RESAMPLING, KERNEL = 3, 4
+"""Further purposes of random numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Particles(Ensemble):
+    """Weighted points; `log_weights` `(run, particle)` are normalized, -inf for a dead particle."""
+
+    log_weights: Array
+
+
+@dataclass(frozen=True)
+class ParticleFilter:
+    """Any belief at all, by particles moved by the model and weighted by the likelihood.
+
+    Cost per step: `size` transitions and `size` measurements. Choose it where the belief has
+    several peaks or hard limits; the count needed grows exponentially with the dimension that the
+    measurements pin down, so above n = 6 or so prefer a Gaussian filter or the EnKF.
+
+    A particle that the model cannot move (NaN) dies; a run fails when all its particles are dead.
+
+    Attributes:
+        model: the filter's model. Q is taken at the mean of the particles.
+        size: count of particles, at least 2.
+        threshold: resample (systematic, Kitagawa 1996) when the effective sample size
+            1/Σ w² is below this share of `size`; 0 never, 1 always.
+        regularization: after resampling, spread the particles by a Gaussian kernel of this many
+            times the optimal bandwidth (Musso, Oudjane & Le Gland 2001, eq. 12.2.7), shrunk towards
+            their mean so that mean and covariance are kept (Liu & West 2001, sec. 10.3.2). 0 is off;
+            0.5 to 1 keeps particles distinct when Q is small.
+    """
+
+    model: Model
+    size: int = 1000
+    threshold: float = 0.5
+    regularization: float = 0.0
+
+    def __post_init__(self) -> None:
+        whole(self, "size", 2)
+        in_range(self, "threshold", 0.0, 1.0)
+        in_range(self, "regularization", 0.0)
+
+    def init(self, mean: Array, cov: Array, keys: random.Keys | None = None) -> Particles:
+        """Particles of N(mean, cov); `keys` `(run,)` tell the runs apart (default 0, 1, ...)."""
+        start = draw(self.model.space, mean, cov, self.size, keys)
+        return _settled(Particles(*start, np.full((len(mean), self.size), -np.log(self.size))))
+
+    def predict(self, belief: Particles, u: Array, t: float, dt: float) -> Particles:
+        """xᵢ⁻ = f(xᵢ⁺, u) ⊞ wᵢ, wᵢ ~ N(0, Q)."""
+        points = diffuse(self.model, belief, self.mean(belief), u, t, dt)
+        return _settled(replace(belief, points=points, counter=belief.counter + np.uint64(1)))
+
+    def update(
+        self,
+        belief: Particles,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Particles, Innovation]:
+        """log wᵢ += log N(y ⊖ h(xᵢ); 0, R), then resampling where it is due.
+
+        The innovation is that of the particles' prior mean and covariance.
+        """
+        output = self.model.output(channels)
+        m = output.n
+        R = np.broadcast_to(self.model.measurement_noise(t, channels), (len(y), m, m))
+        images = self.model.measurement(belief.points, u, t, channels)
+        present = np.ones((len(y), m), bool) if mask is None else mask
+        blind = ~np.isfinite(images).all(axis=-1)
+        images = np.where(blind[..., None], _best(belief, images, blind)[:, None], images)
+        weights = _weights(belief)
+        predicted = output.mean(images, weights)
+        spread = output.minus(images, predicted[:, None])
+        S = symmetrize(np.swapaxes(spread * weights[..., None], -1, -2) @ spread + R)
+        c = correct(output.minus(y, predicted), S, np.zeros((len(y), 0, m)), mask)
+        both = present[:, :, None] & present[:, None, :]
+        lower = cholesky(np.where(both, R, np.eye(m)))
+        residual = np.where(present[:, None], output.minus(y[:, None], images), 0.0)
+        white = solve_lower(lower, np.swapaxes(residual, -1, -2))
+        gained = np.where(blind, -np.inf, -0.5 * (white**2).sum(axis=-2))
+        arrived = np.any(present, axis=-1, keepdims=True)
+        counter = belief.counter + arrived[:, 0].astype(np.uint64)
+        logs = np.where(arrived, belief.log_weights + gained, belief.log_weights)
+        weighted = _settled(replace(belief, log_weights=logs))
+        return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), c.innovation
+
+    def mean(self, belief: Particles) -> Array:
+        """x̂ `(run, nx)`, the particles' weighted mean on the manifold."""
+        mean = self.model.space.mean(belief.points, _weights(belief))
+        return np.where(belief.fault[:, None] > 0, np.nan, mean)
+
+    def cov(self, belief: Particles) -> Array:
+        """P `(run, n, n)`, the particles' weighted covariance in the tangent at x̂."""
+        return _covariance(self.model.space, belief, self.mean(belief))
+
+    def _resampled(self, belief: Particles, arrived: NDArray[np.bool_]) -> Particles:
+        """The belief with equal weights in every run whose effective sample size is too small."""
+        effective = 1.0 / np.exp(2.0 * belief.log_weights).sum(axis=-1)
+        due = arrived & (belief.fault == 0) & (effective < self.threshold * self.size)
+        if not due.any():
+            return belief
+        old = Particles(*(getattr(belief, name)[due] for name in Particles.__dataclass_fields__))
+        start = random.uniform(old.keys, old.counter, RESAMPLING, 1)
+        chosen = systematic(_weights(old), start)
+        points = np.take_along_axis(old.points, chosen[..., None], axis=1)
+        if self.regularization:
+            points = self._jittered(old, points)
+        new_points, logs = belief.points.copy(), belief.log_weights.copy()
+        new_points[due], logs[due] = points, -np.log(self.size)
+        return replace(belief, points=new_points, log_weights=logs)
+
+    def _jittered(self, old: Particles, points: Array) -> Array:
+        """Resampled points shrunk towards the mean and spread by the kernel."""
+        space = self.model.space
+        n = space.n
+        bandwidth = self.regularization * (4.0 / (self.size * (n + 2.0))) ** (1.0 / (n + 4.0))
+        bandwidth = min(bandwidth, 1.0)
+        mean = self.mean(old)
+        kernel = bandwidth**2 * _covariance(space, old, mean)
+        noise = random.gaussian(old.keys, old.counter, KERNEL, kernel, self.size)
+        kept = np.sqrt(1.0 - bandwidth**2) * space.minus(points, mean[:, None])
+        return space.plus(mean[:, None], kept + noise)
+
+
+def systematic(weights: Array, start: Array) -> NDArray[np.intp]:
+    """Indices `(run, particle)` of the offspring: those where a comb of spacing 1/N falls.
+
+    Arulampalam et al. 2002, alg. 2; all runs at once by counting the comb's teeth below each
+    cumulative weight.
+
+    Args:
+        weights: `(run, particle)`.
+        start: where the comb begins, `(run, 1)` in (0, 1), in units of its spacing.
+    """
+    runs, size = weights.shape
+    total = np.cumsum(weights, axis=-1)
+    below = np.clip(np.ceil(size * (total / total[:, -1:]) - start), 0, size).astype(np.intp)
+    rows = np.arange(runs)[:, None] * (size + 1)
+    counts = np.bincount((below + rows).ravel(), minlength=runs * (size + 1))
+    return np.cumsum(counts.reshape(runs, size + 1)[:, :size], axis=-1)
+
+
+def _weights(belief: Particles) -> Array:
+    """Weights `(run, particle)` of sum one."""
+    weights = np.exp(belief.log_weights)
+    return weights / weights.sum(axis=-1, keepdims=True)
+
+
+def _covariance(space: Manifold, belief: Particles, mean: Array) -> Array:
+    deviation = space.minus(belief.points, mean[:, None])
+    return symmetrize(np.swapaxes(deviation * _weights(belief)[..., None], -1, -2) @ deviation)
+
+
+def _best(belief: Particles, values: Array, dead: NDArray[np.bool_]) -> Array:
+    """The value `(run, k)` of each run's heaviest particle that is not dead."""
+    index = np.argmax(np.where(dead, -np.inf, belief.log_weights), axis=-1)
+    return np.take_along_axis(values, index[:, None, None], axis=1)[:, 0]
+
+
+def _settled(belief: Particles) -> Particles:
+    """Weights normalized, dead particles parked at a live one, runs without any marked."""
+    dead = ~np.isfinite(belief.points).all(axis=-1)
+    logs = np.where(dead, -np.inf, belief.log_weights)
+    points = belief.points
+    if dead.any():
+        points = np.where(dead[..., None], _best(belief, points, dead)[:, None], points)
+    peak = logs.max(axis=-1, keepdims=True)
+    lost = ~np.isfinite(peak[:, 0])
+    logs = logs - np.where(np.isfinite(peak), peak, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = logs - np.log(np.exp(logs).sum(axis=-1, keepdims=True))
+    code = np.where(belief.fault, belief.fault, np.where(lost, Fault.STATE, 0)).astype(np.uint8)
+    failed = code[:, None] > 0
+    return replace(
+        belief,
+        points=np.where(failed[..., None], np.nan, points),
+        log_weights=np.where(failed, np.nan, logs),
+        fault=code,
+    )

@@ -1,0 +1,113 @@
+"""Square-root unscented Kalman filter (van der Merwe & Wan, ICASSP 2001, algorithm 3.1)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstimatorError
+from estbench.estimators.base import Fault, Innovation
+from estbench.estimators.factors import (
+    FactorBelief,
+    FactorEstimator,
+    cholesky_update,
+    factor_belief,
+    factor_innovation,
+    factor_settle,
+    lost,
+    noise_root,
+    psd_root,
+    triangular,
+)
+from estbench.estimators.settings import in_range
+from estbench.estimators.sigma_points import SigmaPoints, scaled
+from estbench.linalg import solve_lower
+from estbench.models.base import Channels, Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SquareRootUKF(FactorEstimator):
+    """The UKF with a triangular factor in place of P; points are redrawn before the update.
+
+    The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the equally weighted residuals and Q^½, then a
+    rank-one update with the centre's residual, whose weight may be negative. The measurement takes
+    K S^½ from L by one downdate a component. It equals the UKF up to rounding.
+
+    Cost per step: 2 n + 1 transitions and 2 n + 1 measurements, no Cholesky factorization of P.
+    Choose it over the UKF when P is badly conditioned; a semidefinite P₀ is welcome.
+
+    Attributes:
+        model: the filter's model.
+        alpha, beta, kappa: of the scaled rule, as in `UKF`; at the default 1, 2, 0 the centre's
+            covariance weight is 2 and nothing is downdated in the prediction.
+    """
+
+    model: Model
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+    rule: SigmaPoints = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        in_range(self, "alpha", 0.0, 1.0, low_open=True)
+        in_range(self, "beta", 0.0)
+        n = self.model.space.n
+        if not n + self.kappa > 0:
+            raise EstimatorError(
+                f"SquareRootUKF: kappa is {self.kappa!r}; n + kappa must be positive, so use a "
+                f"value above {-n}"
+            )
+        object.__setattr__(self, "rule", scaled(n, self.alpha, self.beta, self.kappa))
+
+    def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
+        """x̂⁻ and L⁻ from the propagated points (van der Merwe & Wan 2001, eq. 17-21)."""
+        space = self.model.space
+        points = self.rule.draw(space, belief.mean, belief.factor)
+        points = self.model.transition(points, u, t, dt)
+        mean = space.mean(points, self.rule.mean_weights)
+        Q = self.model.process_noise(belief.mean, u, t, dt)
+        residuals = space.minus(points, mean[:, None])
+        factor = self._factor(residuals, np.broadcast_to(psd_root(Q), belief.factor.shape))
+        return factor_belief(mean, factor, belief.fault, lost(factor, residuals))
+
+    def update(
+        self,
+        belief: FactorBelief,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[FactorBelief, Innovation]:
+        """K = (Pxy S^-ᵀ½) S^-½; L⁺ is L⁻ downdated by K S^½ (eq. 22-29)."""
+        space, output = self.model.space, self.model.output(channels)
+        points = self.rule.draw(space, belief.mean, belief.factor)
+        images = self.model.measurement(points, u, t, channels)
+        predicted = output.mean(images, self.rule.mean_weights)
+        residuals = output.minus(images, predicted[:, None])
+        residual = output.minus(y, predicted)
+        if mask is not None:
+            residual = np.where(mask, residual, 0.0)
+            residuals = np.where(mask[:, None, :], residuals, 0.0)
+        root = noise_root(self.model.measurement_noise(t, channels), mask, len(y))
+        root = self._factor(residuals, root)
+        innovation = factor_innovation(residual, root, mask)
+        spread = self.rule.points @ np.swapaxes(belief.factor, -1, -2)
+        cross = self.rule.cross(spread, residuals)
+        W = solve_lower(root, np.swapaxes(cross, -1, -2))  # (K S^½)ᵀ
+        delta = (innovation.white[:, None] @ W)[:, 0]
+        factor = belief.factor
+        for component in range(W.shape[1]):
+            factor = cholesky_update(factor, W[:, component], -1.0)
+        unseen = lost(root, residuals, Fault.INNOVATION)
+        fault = np.where(unseen, unseen, lost(factor, W))
+        return factor_settle(space, belief, delta, factor, fault), innovation
+
+    def _factor(self, residuals: Array, noise: Array) -> Array:
+        """The factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ; the centre's point is the first."""
+        weights = self.rule.cov_weights
+        columns = np.swapaxes(np.sqrt(weights[1]) * residuals[:, 1:], -1, -2)
+        factor = triangular(np.concatenate([columns, noise], axis=-1))
+        return cholesky_update(factor, residuals[:, 0], float(weights[0]))

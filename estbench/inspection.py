@@ -1,0 +1,135 @@
+"""What there is (`estbench list`) and what a scenario amounts to (`estbench check`)."""
+
+import importlib
+from typing import Any
+
+import mujoco
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from estbench import controllers, observability, scenario, setup
+from estbench.estimators import registry
+from estbench.models import layout, mjcf
+from estbench.models.rows import engine
+
+STAGES = ("none", "position", "velocity", "acceleration")
+
+
+def catalogue() -> dict[str, dict[str, str]]:
+    """Scenarios, estimators, controllers and sensor types, each with one line about it."""
+    return {
+        "scenarios": {
+            name: scenario.load(path).description for name, path in scenario.bundled().items()
+        },
+        "estimators": {name: _first_line(target) for name, target in registry.known().items()},
+        "controllers": controllers.KINDS,
+        "sensor types": {name: layout.SENSOR_UNITS.get(name, "") for name in mjcf.SENSOR_TYPES},
+    }
+
+
+def _first_line(target: str) -> str:
+    module, _, name = target.partition(":")
+    try:
+        doc = getattr(importlib.import_module(module), name).__doc__ or ""
+    except Exception as error:  # a broken plug-in must not break the list
+        return f"cannot be imported: {type(error).__name__}: {error}"
+    return doc.strip().splitlines()[0] if doc.strip() else ""
+
+
+def render_catalogue() -> Group:
+    """The catalogue for a rich console."""
+    parts: list[Any] = []
+    for heading, entries in catalogue().items():
+        if heading == "sensor types":
+            parts.append(Text(f"\n{heading} (any MuJoCo sensor)", style="bold"))
+            parts.append(Text(", ".join(entries)))
+            continue
+        table = Table(title=f"\n{heading}", title_justify="left", title_style="bold", box=None,
+                      show_header=False)  # fmt: skip
+        table.add_column(no_wrap=True)
+        table.add_column()
+        for name, line in entries.items():
+            table.add_row(name, line)
+        parts.append(table)
+    return Group(*parts)
+
+
+def render_check(resolved: scenario.Scenario) -> Group:
+    """States, sensors and warnings of a scenario for a rich console."""
+    prepared = setup.build(resolved)
+    model, space = prepared.plant.model, prepared.space
+    head = (
+        f"{resolved.name}: {space.n} coordinates, {model.nu} controls, timestep "
+        f"{model.opt.timestep:g} s x {resolved.model.frame_skip}, "
+        f"{mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix('mjINT_')}"
+    )
+    states = Table(title="states", title_justify="left")
+    for name in ("coordinate", "unit", "initial σ", "process noise"):
+        states.add_column(name, justify="left" if name in ("coordinate", "unit") else "right")
+    noise = _density(prepared)
+    for i, (name, unit) in enumerate(zip(space.names, space.units)):
+        states.add_row(name, unit, f"{np.sqrt(prepared.cov[i, i]):.3g}", noise[i])
+    sensors = Table(title="sensors", title_justify="left")
+    for name in ("channel", "type", "noise σ", "unit", "rate", "stage"):
+        sensors.add_column(name, no_wrap=True)
+    for channel in prepared.channels:
+        std = np.unique(np.sqrt(np.diag(channel.cov)))
+        sensors.add_row(
+            channel.name,
+            layout.sensor_type(model, channel.index),
+            " ".join(f"{s:.3g}" for s in std),
+            channel.space.units[0],
+            f"{1 / (channel.period * model.opt.timestep):g} Hz",
+            STAGES[model.sensor_needstage[channel.index]],
+        )
+    control = resolved.control
+    lines = [
+        f"control: {control.kind}, seeing the {control.observe}",
+        f"process noise: {prepared.disturbance.kind}",
+        f"estimators: {', '.join(resolved.estimators)}",
+    ]
+    warnings = [*prepared.notices, *_warnings(prepared)]
+    return Group(
+        Text(head, style="bold"), states, sensors, *(Text(line) for line in lines),
+        *(Text(f"warning: {w}", style="yellow") for w in warnings),
+    )  # fmt: skip
+
+
+def _density(prepared: setup.Setup) -> list[str]:
+    """Spectral density beside the coordinate it enters, as text."""
+    space, noise, nv = prepared.space, prepared.disturbance, prepared.plant.model.nv
+    out = [""] * space.n
+    diagonal = np.diag(noise.density)
+    if noise.kind == "additive":
+        return [f"{q:.3g} ({unit})²/s" if q else "" for q, unit in zip(diagonal, space.units)]
+    if noise.kind == "force":
+        for i, q in enumerate(diagonal):
+            unit = "N" if space.units[i] == "m" else "N m"
+            out[nv + i] = f"{q:.3g} ({unit})² s" if q else ""
+    return out
+
+
+def _warnings(prepared: setup.Setup) -> list[str]:
+    section = prepared.scenario.model
+    spec = mjcf.read(section.path)
+    warnings = []
+    for sensor in spec.sensors:
+        if np.any(np.asarray(sensor.interval) > 0) and sensor.nsample == 0:
+            warnings.append(
+                f"sensor '{sensor.name}' has interval but nsample = 0: MuJoCo ignores the interval"
+            )
+        if sensor.nsample > 0 or sensor.delay > 0:
+            warnings.append(
+                f"sensor '{sensor.name}': MJCF delay and nsample are not simulated; set "
+                f"channels.{sensor.name}.rate for its rate"
+            )
+    with engine():
+        hidden = observability.unseen(
+            prepared.model(), prepared.mean, prepared.plant.u0, prepared.plant.period,
+            np.sqrt(np.diag(prepared.cov)),
+        )  # fmt: skip
+    if hidden:
+        warnings.append(f"no sensor can see {', '.join(hidden)} (linearized at the initial state)")
+    return warnings

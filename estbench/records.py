@@ -1,0 +1,121 @@
+"""What is kept of a batch of runs: named arrays with dimensions, the same in memory and on disk.
+
+A record is a function of `Traces`; the summary (per-run averages, per-step sums) is enough for
+every table, `diagonal` adds the traces to look at, `full` the covariances.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.consistency import diverged_runs
+from estbench.filtering import Traces
+from estbench.scenario import ConsistencySection
+
+Array = NDArray[np.float64]
+Record = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Field:
+    """Dimensions, type and meaning of one recorded array."""
+
+    dims: tuple[str, ...]
+    dtype: str
+    meaning: str
+
+
+RUN, STEP, EACH = ("run",), ("batch", "time"), ("run", "time")
+SUMMARY = {
+    "anees": Field(RUN, "f8", "time average of NEES/n"),
+    "anis": Field(RUN, "f8", "time average of NIS/m over the updates"),
+    "mse": Field((*RUN, "coordinate"), "f8", "time average of the squared error, (unit)²"),
+    "variance": Field((*RUN, "coordinate"), "f8", "time average of the filter's variance, (unit)²"),
+    "lag_one": Field(RUN, "f8", "lag-one correlation of the whitened innovations"),
+    "fault": Field(
+        RUN, "u1", "why the run failed (estbench.estimators.base.Fault), 0 = it did not"
+    ),
+    "fault_step": Field(RUN, "i8", "instant of the failure, -1 = none"),
+    "diverged": Field(RUN, "?", "failed, or NEES/n above the threshold for the duration"),
+    "cpu_time": Field(RUN, "f8", "core time of predict and update, s"),
+    "count": Field(STEP, "i8", "runs in the sums below: those that did not diverge"),
+    "nees_sum": Field(STEP, "f8", "sum over runs of NEES"),
+    "nis_sum": Field(STEP, "f8", "sum over runs of NIS"),
+    "dof_sum": Field(STEP, "f8", "sum over runs of the innovation's dimension"),
+    "square_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the squared error, (unit)²"),
+    "variance_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the variance, (unit)²"),
+}
+DIAGONAL = {
+    "estimate": Field((*EACH, "state"), "f8", "x̂"),
+    "error": Field((*EACH, "coordinate"), "f8", "x ⊖ x̂ in the tangent at x̂"),
+    "std": Field((*EACH, "coordinate"), "f8", "filter's standard deviation"),
+    "nees": Field(EACH, "f8", "normalized estimation error squared"),
+    "nis": Field(EACH, "f8", "normalized innovation squared, NaN where nothing arrived"),
+    "dof": Field(EACH, "i8", "dimension of the innovation"),
+}
+FULL = {"cov": Field((*EACH, "coordinate", "coordinate_"), "f8", "P in the tangent at x̂")}
+TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}
+
+
+def fields(keep: str) -> dict[str, Field]:
+    """The fields an estimator's record has."""
+    return SUMMARY | (DIAGONAL if keep != "summary" else {}) | (FULL if keep == "full" else {})
+
+
+def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str) -> Record:
+    """The record of one batch, run-major.
+
+    Args:
+        traces: time-major, `(K + 1, run, ...)`.
+        times: `(K + 1,)` s; index 0 is the prior and is left out of averages.
+        section: burn-in and the definition of divergence.
+        keep: `summary`, `diagonal` or `full`.
+    """
+    n = traces.error.shape[-1]
+    settled = (times > section.burn_in) & (times > 0)
+    step = np.diff(times).mean()
+    window = round(section.divergence_duration / step)
+    failed = traces.fault > 0
+    diverged = failed | diverged_runs(traces.nees / n, section.divergence_threshold, window)
+    good = ~diverged
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(traces.dof > 0, traces.nis / np.maximum(traces.dof, 1), 0.0)[settled[1:]]
+        updates = (traces.dof[settled[1:]] > 0).sum(axis=0)
+        anis = np.where(updates > 0, ratio.sum(axis=0) / np.maximum(updates, 1), np.nan)
+    # A run whose every value is NaN has failed; NaN is the honest average.
+    square, variance = traces.error**2, traces.std**2
+    nis = np.concatenate([np.full((1, len(good)), np.nan), traces.nis])
+    dof = np.concatenate([np.zeros((1, len(good)), np.int64), traces.dof])
+    record: Record = {
+        "anees": traces.nees[settled].mean(axis=0) / n,
+        "anis": anis,
+        "mse": square[settled].mean(axis=0),
+        "variance": variance[settled].mean(axis=0),
+        "lag_one": traces.lag_one,
+        "fault": traces.fault,
+        "fault_step": traces.fault_step,
+        "diverged": diverged,
+        "cpu_time": np.full(len(good), traces.cpu_time / len(good)),
+        "count": np.full((1, len(times)), good.sum()),
+        "nees_sum": traces.nees[:, good].sum(axis=1)[None],
+        "nis_sum": np.nansum(nis[:, good], axis=1)[None],
+        "dof_sum": dof[:, good].sum(axis=1)[None],
+        "square_sum": square[:, good].sum(axis=1)[None],
+        "variance_sum": variance[:, good].sum(axis=1)[None],
+    }
+    if keep != "summary":
+        for name, value in (
+            ("estimate", traces.mean), ("error", traces.error), ("std", traces.std),
+            ("nees", traces.nees), ("nis", nis), ("dof", dof),
+        ):  # fmt: skip
+            record[name] = np.swapaxes(value, 0, 1)
+    if keep == "full" and traces.cov is not None:
+        record["cov"] = np.swapaxes(traces.cov, 0, 1)
+    return record
+
+
+def merge(records: list[Record]) -> Record:
+    """The summary of several batches: runs one after the other, one row of sums a batch."""
+    return {name: np.concatenate([r[name] for r in records]) for name in SUMMARY}

@@ -1,0 +1,208 @@
+"""The results of one experiment: what Python gets back, and what is printed."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from estbench.consistency import Interval, Verdict
+from estbench.records import Record
+from estbench.scenario import Scenario
+from estbench.statistics import Summary
+
+Array = NDArray[np.float64]
+
+WIDTH = 100
+COLOURS = {
+    Verdict.CONSISTENT: "green",
+    Verdict.OVERCONFIDENT: "red",
+    Verdict.CONSERVATIVE: "yellow",
+    Verdict.DIVERGING: "bold red",
+    Verdict.UNDECIDED: "dim",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What `estbench.run` returns; `print(results)` shows the tables.
+
+    Attributes:
+        scenario: as resolved.
+        names, units: of the tangent coordinates.
+        times: instants, s.
+        runs: numbers of the finished runs.
+        summaries: one an estimator.
+        records: label -> per-run and per-step arrays (`records.SUMMARY`).
+        notices: what was assumed where the scenario is silent.
+        folder: where it was written, or None.
+        interrupted: whether Ctrl-C cut it short.
+    """
+
+    scenario: Scenario
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    times: Array
+    runs: tuple[int, ...]
+    summaries: tuple[Summary, ...]
+    records: dict[str, Record]
+    notices: tuple[str, ...]
+    folder: Path | None
+    interrupted: bool
+
+    def __getitem__(self, label: str) -> Summary:
+        return {s.label: s for s in self.summaries}[label]
+
+    def __str__(self) -> str:
+        console = Console(width=WIDTH, no_color=True, force_terminal=False, highlight=False)
+        with console.capture() as capture:
+            console.print(self.render())
+        return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+    def render(self) -> Group:
+        """The tables for a rich console."""
+        simulation = self.scenario.simulation
+        done = len(self.runs)
+        title = (
+            f"{self.scenario.name}: {done} runs x {self.times[-1]:g} s "
+            f"({len(self.times) - 1} steps), seed {simulation.seed}"
+        )
+        if self.interrupted:
+            title += f" [interrupted: {done} of {simulation.runs} runs finished]"
+        parts: list[Any] = [Text(title, style="bold")]
+        parts += [Text(f"note: {notice}", style="dim") for notice in self.notices]
+        parts += [_verdicts(self.summaries, self.scenario.consistency.level)]
+        parts += [_accuracy(self.summaries, self.names, self.units)]
+        parts += [Text(line, style="red") for line in _failures(self.summaries)]
+        if self.folder is not None:
+            parts.append(Text(f"written to {self.folder}"))
+        return Group(*parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers for JSON; a value that is not finite becomes None."""
+        return {
+            "scenario": self.scenario.name,
+            "seed": self.scenario.simulation.seed,
+            "runs": len(self.runs),
+            "duration_s": float(self.times[-1]),
+            "interrupted": self.interrupted,
+            "folder": None if self.folder is None else str(self.folder),
+            "notices": list(self.notices),
+            "estimators": {
+                s.label: {
+                    "verdict": str(s.verdict),
+                    "anees_over_n": _plain(s.anees),
+                    "anees_over_n_median": _number(s.anees_median),
+                    "anis_over_m": _plain(s.anis),
+                    "innovation_lag_one": _plain(s.lag_one),
+                    "diverged_share": s.diverged,
+                    "cost_us_per_run_step": s.cost,
+                    "rmse": {
+                        name: {"unit": unit, **_plain(i), "median": _number(m), "sigma": _number(d)}
+                        for name, unit, i, m, d in zip(
+                            self.names, self.units, s.rmse, s.rmse_median, s.std
+                        )
+                    },
+                    "failures": [vars(f) for f in s.failures],
+                }
+                for s in self.summaries
+            },
+        }
+
+    def to_json(self) -> str:
+        """`to_dict` as JSON text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+
+def _table(caption: str) -> Table:
+    return Table(
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+        caption=caption,
+        caption_justify="left",
+    )
+
+
+def _verdicts(summaries: tuple[Summary, ...], level: float) -> Table:
+    table = _table(
+        "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
+        f"filter; ± is the {level:.0%} interval across runs; cost is of one core."
+    )
+    table.add_column("estimator", overflow="fold")
+    table.add_column("verdict", no_wrap=True)
+    for heading in ("NEES/n", "median", "NIS/m", "lag-one", "diverged", "µs/run-step"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for s in summaries:
+        table.add_row(
+            s.label,
+            Text(str(s.verdict), style=COLOURS[s.verdict]),
+            interval(s.anees),
+            f"{s.anees_median:.3f}",
+            interval(s.anis),
+            interval(s.lag_one),
+            f"{s.diverged:.1%}",
+            f"{s.cost:.3g}",
+        )
+    return table
+
+
+def _accuracy(
+    summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...]
+) -> Table:
+    detailed = len(summaries) <= 3
+    table = _table(
+        "RMSE over time and the runs that did not diverge"
+        + ("; σ is what the filter reports;\nmedian is that of all runs." if detailed else ".")
+    )
+    table.add_column("coordinate", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    for s in summaries:
+        table.add_column(
+            f"{s.label} RMSE" if detailed else s.label, justify="right", overflow="fold"
+        )
+        if detailed:
+            table.add_column("σ", justify="right")
+            table.add_column("median", justify="right")
+    for i, (name, unit) in enumerate(zip(names, units)):
+        cells = []
+        for s in summaries:
+            cells.append(f"{s.rmse[i].value:.3g}")
+            if detailed:
+                cells += [f"{s.std[i]:.3g}", f"{s.rmse_median[i]:.3g}"]
+        table.add_row(name, unit, *cells)
+    return table
+
+
+def _failures(summaries: tuple[Summary, ...], most: int = 3) -> list[str]:
+    lines = []
+    for s in summaries:
+        for f in s.failures[:most]:
+            lines.append(f"{s.label}: run {f.run} failed at t = {f.time:g} s: {f.reason}")
+        if len(s.failures) > most:
+            lines.append(f"{s.label}: ... and {len(s.failures) - most} more failed runs")
+    return lines
+
+
+def interval(i: Interval) -> str:
+    """`1.02 ± 0.03`, with as many decimals as the half-width has meaning."""
+    half = 0.5 * (i.high - i.low)
+    if not np.isfinite(half):
+        return f"{i.value:.3g}"
+    decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 3)) if half > 0 else 3
+    return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
+
+
+def _number(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _plain(i: Interval) -> dict[str, float | None]:
+    return {"value": _number(i.value), "low": _number(i.low), "high": _number(i.high)}

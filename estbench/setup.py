@@ -1,0 +1,220 @@
+"""From a validated scenario to the objects of an experiment: models, sensors, schedule, noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import controllers, sensors
+from estbench.errors import CovarianceError, DimensionError, ScenarioError
+from estbench.estimators import registry
+from estbench.estimators.base import Estimator
+from estbench.linalg import is_positive_definite
+from estbench.manifold import Manifold
+from estbench.models import layout, mjcf
+from estbench.models.differences import Differences
+from estbench.models.disturbance import Disturbance
+from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
+from estbench.naming import expand
+from estbench.scenario import InitialSection, Scenario
+from estbench.sensors import Channel, Instant
+from estbench.truth import Simulator
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that is the same for all runs; what one batch needs is built by its methods.
+
+    Attributes:
+        scenario: what it was built from.
+        plant: the nominal robot: truth model, state space, keyframe, control period.
+        filter_model: the MuJoCo model as the filter believes it.
+        filter_channels: the filter's sensors and R.
+        channels: the true sensors.
+        instants: the event loop's schedule.
+        disturbance: the true process noise; the filter's is `filter_disturbance`.
+        mean, cov: x̂₀ `(nx,)` and P₀ `(n, n)`.
+        notices: what was assumed where the scenario is silent.
+    """
+
+    scenario: Scenario
+    plant: controllers.Plant
+    filter_model: mujoco.MjModel
+    filter_channels: tuple[SensorChannel, ...]
+    channels: tuple[Channel, ...]
+    instants: tuple[Instant, ...]
+    disturbance: Disturbance
+    filter_disturbance: Disturbance
+    mean: Array
+    cov: Array
+    notices: tuple[str, ...]
+
+    @property
+    def space(self) -> Manifold:
+        """The state space."""
+        return self.plant.space
+
+    @property
+    def times(self) -> Array:
+        """Start and end of every instant `(K + 1,)`, s."""
+        return np.array([0.0] + [i.end for i in self.instants])
+
+    def model(self, nthread: int = 1) -> MujocoModel:
+        """A fresh filter model; one for each thread."""
+        section = self.scenario.filter
+        return MujocoModel(
+            self.filter_model,
+            self.filter_channels,
+            self.filter_disturbance,
+            Differences(section.differences, section.step),
+            nthread,
+        )
+
+    def estimator(self, label: str) -> Estimator:
+        """The estimator of that label on a fresh model."""
+        return registry.create(label, self.scenario.estimators[label], self.model())
+
+    def simulator(self, runs: Sequence[int]) -> Simulator:
+        """The true robot for some runs."""
+        return Simulator(
+            self.plant.model,
+            self.space,
+            self.channels,
+            self.instants,
+            self.disturbance,
+            (self.mean, np.linalg.cholesky(self.cov)),
+            self.scenario.truth.draw,
+            self.scenario.simulation.seed,
+            runs,
+        )
+
+    def controller(self, runs: Sequence[int]) -> controllers.Controller:
+        """The controller for some runs, its errors made clear."""
+        section = self.scenario.control
+        steps = sum(i.control for i in self.instants)
+        seed = self.scenario.simulation.seed
+        made = controllers.build(section, self.plant, seed, runs, steps)
+        name = section.function if section.kind == "user" else section.kind
+        return controllers.checked(made, name or section.kind, self.plant.model.nu)
+
+
+def build(scenario: Scenario) -> Setup:
+    """Resolve a scenario.
+
+    Raises:
+        ScenarioError, DimensionError, CovarianceError, EstimatorError, ControllerError: whatever
+            does not fit, before anything is simulated or written.
+    """
+    section, belief = scenario.model, scenario.filter
+    added = {name: c.add for name, c in scenario.channels.items() if c.add is not None}
+    spec = mjcf.read(section.path, added)
+    truth = mjcf.compile_model(
+        spec,
+        timestep=section.timestep,
+        integrator=section.integrator,
+        settings={**section.set, **scenario.truth.set},
+    )
+    believed = mjcf.compile_model(
+        mjcf.read(belief.path, added) if belief.path else spec,
+        timestep=belief.timestep or section.timestep,
+        integrator=belief.integrator or section.integrator,
+        settings={**section.set, **belief.set},
+        where="filter",
+    )
+    space = layout.state_space(truth)
+    if not space.n:
+        raise ScenarioError(
+            f"model.path '{section.path}' has no joint: there is no state to estimate"
+        )
+    if layout.state_space(believed).names != space.names or believed.nu != truth.nu:
+        raise DimensionError(
+            f"filter.path: states {', '.join(layout.state_space(believed).names)} with "
+            f"{believed.nu} controls; expected {', '.join(space.names)} with {truth.nu}"
+        )
+    channels, notices = sensors.build(
+        truth, scenario.channels, scenario.sensors, section.frame_skip
+    )
+    x0, u0 = mjcf.keyframe(truth, section.keyframe)
+    mean, cov = _initial(scenario.initial, truth, space, x0)
+    instants = sensors.schedule(
+        channels, truth.opt.timestep, section.frame_skip, scenario.simulation.duration
+    )
+    for dt in {round(i.end - i.start, 12) for i in instants}:
+        whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
+    noise = scenario.process_noise
+    disturbance = Disturbance.build(truth, space, noise.kind, noise.density, noise.matrix)
+    if not disturbance.rank:
+        notices.append("no process noise: set process_noise.density if the filter should have any")
+    setup = Setup(
+        scenario=scenario,
+        plant=controllers.Plant(truth, space, x0, u0, section.frame_skip),
+        filter_model=believed,
+        filter_channels=_believed_channels(believed, channels, belief.measurement_noise_scale),
+        channels=tuple(channels),
+        instants=tuple(instants),
+        disturbance=disturbance,
+        filter_disturbance=disturbance.scaled(belief.process_noise_scale),
+        mean=mean,
+        cov=cov,
+        notices=tuple(notices),
+    )
+    for label in scenario.estimators:
+        setup.estimator(label)
+    for key in scenario.truth.draw:
+        mjcf.parameter(truth, key, "truth.draw")
+    setup.controller([0])
+    return setup
+
+
+def _initial(
+    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Array
+) -> tuple[Array, Array]:
+    """x̂₀ and P₀."""
+    mean = x0.copy()
+    parts = {
+        "qpos": slice(0, model.nq),
+        "qvel": slice(model.nq, model.nq + model.nv),
+        "act": slice(model.nq + model.nv, None),
+    }
+    for name, part in parts.items():
+        given = getattr(section, name)
+        if given is not None:
+            if len(given) != len(mean[part]):
+                raise DimensionError(
+                    f"initial.{name} has {len(given)} values; expected {len(mean[part])}"
+                )
+            mean[part] = given
+    mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
+    if section.cov is None:
+        std = expand(section.std, space.names, "initial.std")
+        if not (std > 0).all():
+            worst = int(std.argmin())
+            raise CovarianceError(
+                f"initial.std is {std[worst]:g} for {space.names[worst]}; P₀ must be positive "
+                "definite, so give every coordinate a std above 0 (later patterns win)"
+            )
+        return mean, np.diag(std**2)
+    cov = np.asarray(section.cov, dtype=np.float64)
+    if cov.shape != (space.n, space.n):
+        raise DimensionError(
+            f"initial.cov has shape {cov.shape}; expected {(space.n, space.n)} "
+            f"({', '.join(space.names)})"
+        )
+    if not is_positive_definite(cov):
+        raise CovarianceError("initial.cov (P₀) is not symmetric positive definite")
+    return mean, cov
+
+
+def _believed_channels(
+    model: mujoco.MjModel, channels: Sequence[Channel], scale: float
+) -> tuple[SensorChannel, ...]:
+    """The true channels as the filter believes them, found by name in the filter's model."""
+    names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
+    missing = [c.name for c in channels if c.name not in names]
+    if missing:
+        raise ScenarioError(f"filter.path: the filter's model has no sensor {', '.join(missing)}")
+    return tuple(SensorChannel(c.name, names.index(c.name), scale * c.cov) for c in channels)

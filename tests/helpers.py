@@ -1,0 +1,234 @@
+"""Models and estimators to parametrize over."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+
+from estbench.estimators import registry
+from estbench.models import mjcf
+from estbench.models.differences import Differences
+from estbench.models.disturbance import Disturbance
+from estbench.models.function import FunctionModel
+from estbench.models.layout import sensor_name, sensor_space, state_space
+from estbench.models.linear import LinearModel
+from estbench.models.mujoco import MujocoModel, SensorChannel
+
+ESTIMATORS = sorted(registry.known())
+
+JOINTS = """
+<mujoco>
+  <option timestep="0.004" integrator="Euler"/>
+  <default><geom contype="0" conaffinity="0" mass="0.7"/></default>
+  <worldbody>
+    <body><joint name="lift" type="slide" axis="0 0.6 0.8" damping="0.5"/>
+      <geom type="box" size="0.1 0.2 0.15"/>
+      <body pos="0 0 0.3"><joint name="swing" type="hinge" axis="1 0 0" pos="0 0 0.2" damping="0.1"/>
+        <geom type="capsule" size="0.05 0.2"/>
+        <body pos="0.3 0 0"><joint name="wrist" type="ball" damping="0.05"/>
+          <geom type="box" size="0.1 0.05 0.2" pos="0.1 0.02 0"/>
+        </body>
+      </body>
+    </body>
+    <body pos="0 0 2"><freejoint name="root"/><geom type="box" size="0.2 0.1 0.05"/>
+      <site name="imu" pos="0.05 0.02 0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="lifter" joint="lift" gear="3" ctrlrange="-1 1"/>
+    <motor name="swinger" joint="swing"/>
+  </actuator>
+  <sensor>
+    <jointpos name="lift_encoder" joint="lift"/>
+    <ballquat name="wrist_quat" joint="wrist"/>
+    <framequat name="attitude" objtype="site" objname="imu"/>
+    <gyro name="gyro" site="imu"/>
+  </sensor>
+</mujoco>"""
+
+ACTIVATIONS = """
+<mujoco>
+  <option timestep="0.005" integrator="{integrator}"/>
+  <worldbody>
+    <body><joint name="slide" type="slide" axis="1 0 0" damping="1"/>
+      <geom type="sphere" size="0.1" mass="1"/>
+      <body><joint name="hinge" type="hinge" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" size="0.03" fromto="0 0 0 0 0 -0.5" mass="0.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <general name="lag" joint="slide" dyntype="filter" dynprm="0.2" gainprm="4"/>
+    <general name="ramp" joint="hinge" dyntype="integrator" gainprm="0.5"
+             biastype="affine" biasprm="0 -0.2 -0.1"/>
+    <motor name="direct" joint="hinge" gear="0.2"/>
+  </actuator>
+  <sensor>
+    <actuatorfrc name="lag_force" actuator="lag"/>
+    <jointvel name="rate" joint="hinge"/>
+  </sensor>
+</mujoco>"""
+
+CONTACT = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom type="plane" size="3 3 0.1"/>
+    <body pos="0 0 0.098"><freejoint name="box"/>
+      <geom type="box" size="0.1 0.1 0.1" mass="1"/>
+      <site name="foot" pos="0 0 -0.1" type="box" size="0.11 0.11 0.02"/>
+    </body>
+  </worldbody>
+  <sensor><touch name="touch" site="foot"/><accelerometer name="accel" site="foot"/></sensor>
+</mujoco>"""
+
+SENSORS = """
+<mujoco>
+  <option timestep="0.005" magnetic="0.2 -0.1 0.5"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 0.1"/>
+    <body name="arm" pos="0 0 1">
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.1" range="-0.2 0.2" limited="true"/>
+      <geom name="arm" type="capsule" size="0.04" fromto="0 0 0 0.4 0 0" mass="1"/>
+      <site name="tool" pos="0.4 0 0" euler="10 20 30"/>
+      <body name="hand" pos="0.5 0 0"><joint name="wrist" type="ball" damping="0.02"/>
+        <geom name="hand" type="box" size="0.05 0.04 0.03" pos="0.03 0 0" mass="0.3"/>
+        <site name="imu" pos="0.02 0.01 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon><fixed name="cord"><joint joint="shoulder" coef="0.3"/></fixed></tendon>
+  <actuator><motor name="motor" joint="shoulder" gear="2"/></actuator>
+  <sensor>
+    <jointpos name="jointpos" joint="shoulder"/> <jointvel name="jointvel" joint="shoulder"/>
+    <jointactuatorfrc name="jointactfrc" joint="shoulder"/>
+    <jointlimitfrc name="jointlimitfrc" joint="shoulder"/>
+    <ballquat name="ballquat" joint="wrist"/> <ballangvel name="ballangvel" joint="wrist"/>
+    <tendonpos name="tendonpos" tendon="cord"/> <tendonvel name="tendonvel" tendon="cord"/>
+    <actuatorpos name="actuatorpos" actuator="motor"/>
+    <actuatorvel name="actuatorvel" actuator="motor"/>
+    <actuatorfrc name="actuatorfrc" actuator="motor"/>
+    <accelerometer name="accelerometer" site="imu"/> <gyro name="gyro" site="imu"/>
+    <velocimeter name="velocimeter" site="imu"/> <magnetometer name="magnetometer" site="imu"/>
+    <force name="force" site="tool"/> <torque name="torque" site="tool"/>
+    <framepos name="framepos" objtype="site" objname="imu"/>
+    <framequat name="framequat" objtype="site" objname="imu"/>
+    <framexaxis name="framexaxis" objtype="site" objname="imu"/>
+    <framelinvel name="framelinvel" objtype="site" objname="imu"/>
+    <frameangvel name="frameangvel" objtype="site" objname="imu"/>
+    <framelinacc name="framelinacc" objtype="site" objname="imu"/>
+    <frameangacc name="frameangacc" objtype="site" objname="imu"/>
+    <subtreecom name="subtreecom" body="arm"/> <subtreelinvel name="subtreelinvel" body="arm"/>
+    <subtreeangmom name="subtreeangmom" body="arm"/>
+    <e_potential name="e_potential"/> <clock name="clock"/>
+  </sensor>
+</mujoco>"""
+
+ZOO = {
+    "joints": JOINTS,
+    "activations": ACTIVATIONS.format(integrator="Euler"),
+    "implicitfast": ACTIVATIONS.format(integrator="implicitfast"),
+    "rk4": JOINTS.replace("Euler", "RK4"),
+    "contact": CONTACT,
+    "sensors": SENSORS,
+}
+
+
+@cache
+def zoo_model(name: str) -> mujoco.MjModel:
+    return mjcf.compile_model(mujoco.MjSpec.from_string(ZOO[name]))
+
+
+def all_channels(model: mujoco.MjModel, std: float = 0.1) -> list[SensorChannel]:
+    widths = [sensor_space(model, [i]).n for i in range(model.nsensor)]
+    return [
+        SensorChannel(sensor_name(model, i), i, std**2 * np.eye(m)) for i, m in enumerate(widths)
+    ]
+
+
+def mujoco_model(
+    name: str, kind="additive", density=0.0, nthread=1, differences=None, channels=None
+) -> MujocoModel:
+    model = zoo_model(name)
+    chosen = [c for c in all_channels(model) if channels is None or c.name in channels]
+    noise = Disturbance.build(model, state_space(model), kind, density)
+    return MujocoModel(model, chosen, noise, differences, nthread)
+
+
+CENTERED = Differences("centered", 1e-6)
+
+
+def random_states(model: mujoco.MjModel, runs: int, seed: int = 0, scale: float = 0.3):
+    """States about qpos0 `(run, nx)` and controls `(run, nu)`."""
+    rng = np.random.default_rng(seed)
+    space = state_space(model)
+    rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+    x = space.plus(rest, scale * rng.standard_normal((runs, space.n)))
+    return x, scale * rng.standard_normal((runs, model.nu))
+
+
+def random_cov(rng: np.random.Generator, n: int, runs: int | None = None, scale: float = 1.0):
+    a = rng.standard_normal((*((runs,) if runs else ()), n, n))
+    return scale * (a @ np.swapaxes(a, -1, -2) / n + 0.1 * np.eye(n))
+
+
+def linear_model(seed: int, n: int = 3, m: int = 2, nu: int = 1) -> LinearModel:
+    """A random stable model with a singular Q and a feedthrough."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    G = rng.standard_normal((n, max(n - 1, 1)))
+    return LinearModel(
+        A, rng.standard_normal((m, n)), 0.1 * G @ G.T, random_cov(rng, m),
+        rng.standard_normal((n, nu)), rng.standard_normal((m, nu)),
+    )  # fmt: skip
+
+
+def nonlinear_model(n: int = 2, jacobians: bool = True, batched: bool = True) -> FunctionModel:
+    """A chain of n/2 pendulums, x = (angles, rates), one torque.
+
+    Measured: range and bearing of the first bob from a station, and the sine of the other angles.
+    """
+    k = n // 2
+    stiff = 0.3 * (np.diag(np.ones(k - 1), 1) + np.diag(np.ones(k - 1), -1))
+    stiff -= np.diag(stiff.sum(axis=1))
+
+    def f(x, u, t, dt):
+        angle, rate = x[..., :k], x[..., k:]
+        push = np.concatenate([u, np.zeros((*u.shape[:-1], k - 1))], axis=-1)
+        return np.concatenate(
+            [angle + dt * rate, rate + dt * (angle @ stiff - np.sin(angle) - 0.1 * rate + push)],
+            axis=-1,
+        )
+
+    def f_jacobian(x, u, t, dt):
+        F = np.broadcast_to(np.eye(n), (*x.shape[:-1], n, n)).copy()
+        F[..., :k, k:] = dt * np.eye(k)
+        F[..., k:, :k] = dt * (stiff - np.eye(k) * np.cos(x[..., None, :k]))
+        F[..., k:, k:] -= 0.1 * dt * np.eye(k)
+        return F
+
+    def offset(x):
+        return 2.0 - np.sin(x[..., 0]), 1.5 + np.cos(x[..., 0])
+
+    def h(x, u, t):
+        dx, dy = offset(x)
+        first = np.stack([np.hypot(dx, dy) + 0.2 * u[..., 0], np.arctan2(dy, dx)], axis=-1)
+        return np.concatenate([first, np.sin(x[..., 1:k])], axis=-1)
+
+    def h_jacobian(x, u, t):
+        dx, dy = offset(x)
+        ddx, ddy = -np.cos(x[..., 0]), -np.sin(x[..., 0])
+        r2 = dx**2 + dy**2
+        H = np.zeros((*x.shape[:-1], k + 1, n))
+        H[..., 0, 0] = (dx * ddx + dy * ddy) / np.sqrt(r2)
+        H[..., 1, 0] = (dx * ddy - dy * ddx) / r2
+        for i in range(1, k):
+            H[..., i + 1, i] = np.cos(x[..., i])
+        return H
+
+    return FunctionModel(
+        f, h, 0.01 * random_cov(np.random.default_rng(n), n),
+        0.05 * random_cov(np.random.default_rng(n + 1), k + 1), n_controls=1, batched=batched,
+        f_jacobian=f_jacobian if jacobians else None, h_jacobian=h_jacobian if jacobians else None,
+    )  # fmt: skip

@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+
+from estbench.errors import CovarianceError, DimensionError
+from estbench.models.base import Model
+from estbench.models.function import FunctionModel
+from tests.helpers import nonlinear_model
+
+DT = 0.1
+dimensions = pytest.mark.parametrize("n", [2, 4, 6])
+
+
+def inputs(n, runs=3, points=None):
+    rng = np.random.default_rng(n)
+    lead = (runs,) if points is None else (runs, points)
+    return rng.standard_normal((*lead, n)), rng.standard_normal((runs, 1))
+
+
+def scalar_model(f=None, h=None, **options):
+    def identity(x, u, *time):
+        return x
+
+    return FunctionModel(f or identity, h or identity, np.eye(2), np.eye(2), **options)
+
+
+@dimensions
+def test_batched_and_looped_functions_agree(n):
+    batched, looped = nonlinear_model(n), nonlinear_model(n, batched=False)
+    for points in (None, 4):
+        x, u = inputs(n, points=points)
+        for name, time in (("transition", (0.0, DT)), ("measurement", (0.0,))):
+            a, b = (getattr(model, name)(x, u, *time) for model in (batched, looped))
+            np.testing.assert_allclose(a, b, atol=1e-14)
+            assert a.shape[:-1] == x.shape[:-1]
+    x, u = inputs(n)
+    F = [model.transition_jacobian(x, u, 0.0, DT)[1] for model in (batched, looped)]
+    np.testing.assert_allclose(*F, atol=1e-14)
+
+
+@dimensions
+@pytest.mark.parametrize("batched", [True, False])
+def test_difference_jacobians_agree_with_the_users(n, batched):
+    exact, differenced = nonlinear_model(n), nonlinear_model(n, jacobians=False, batched=batched)
+    x, u = inputs(n)
+    for name, time in (("transition_jacobian", (0.0, DT)), ("measurement_jacobian", (0.0,))):
+        (value, J), (other, slope) = (getattr(m, name)(x, u, *time) for m in (exact, differenced))
+        np.testing.assert_allclose(other, value, atol=1e-14)
+        np.testing.assert_allclose(slope, J, atol=1e-9)
+
+
+def test_points_see_their_runs_control():
+    model = nonlinear_model(4)
+    x, u = inputs(4, points=5)
+    moved = model.measurement(x, u, 0.0) - model.measurement(x, 0 * u, 0.0)
+    np.testing.assert_allclose(moved[..., 0], np.repeat(0.2 * u, 5, axis=1), atol=1e-14)
+
+
+def test_time_reaches_the_functions():
+    model = scalar_model(f=lambda x, u, t, dt: x + 10 * t + dt, h=lambda x, u, t: x * t)
+    x, u = np.ones((1, 2)), np.zeros((1, 0))
+    np.testing.assert_allclose(model.transition(x, u, 2.0, 0.5), 21.5)
+    np.testing.assert_allclose(model.measurement(x, u, 3.0), 3.0)
+    np.testing.assert_allclose(model.measurement_jacobian(x, u, 3.0)[1][0], 3 * np.eye(2), atol=1e-9)
+
+
+def test_a_constant_jacobian_is_for_every_run():
+    J = np.array([[1.0, 2.0], [3.0, 4.0]])
+    model = scalar_model(f_jacobian=lambda *_: J, h_jacobian=lambda *_: 2 * J)
+    x, u = np.zeros((3, 2)), np.zeros((3, 0))
+    np.testing.assert_array_equal(model.transition_jacobian(x, u, 0.0, DT)[1], [J] * 3)
+    np.testing.assert_array_equal(model.measurement_jacobian(x, u)[1], [2 * J] * 3)
+
+
+def test_what_it_is():
+    model = scalar_model(names=("a", "b"), units=("m", "m/s"), n_controls=2)
+    assert isinstance(model, Model)
+    assert model.space.names == ("a", "b")
+    assert model.space.units == ("m", "m/s")
+    assert (model.nu, model.output().n) == (2, 2)
+    np.testing.assert_array_equal(model.process_noise(None, None), np.eye(2))
+    np.testing.assert_array_equal(model.measurement_noise(), np.eye(2))
+
+
+@pytest.mark.parametrize(
+    ("broken", "call", "name"),
+    [
+        ({"f": lambda x, u, t, dt: x[..., :1]}, "transition", "f"),
+        ({"h": lambda x, u, t: x[..., 0]}, "measurement", "h"),
+        ({"f_jacobian": lambda *_: np.eye(3)}, "transition_jacobian", "f_jacobian"),
+        ({"h_jacobian": lambda *_: np.ones((1, 2))}, "measurement_jacobian", "h_jacobian"),
+    ],
+)
+def test_a_wrong_shape_names_the_function(broken, call, name):
+    time = (0.0, DT) if call.startswith("transition") else (0.0,)
+    with pytest.raises(DimensionError, match=rf"^{name} returned shape \(.*; expected \(3, 2"):
+        getattr(scalar_model(**broken), call)(np.zeros((3, 2)), np.zeros((3, 0)), *time)
+
+
+def test_a_function_for_one_state_says_how_to_declare_it():
+    model = scalar_model(f=lambda x, u, t, dt: np.array([x[0], x[1]]))
+    with pytest.raises(DimensionError, match="batched=False"):
+        model.transition(np.zeros((3, 2)), np.zeros((3, 0)))
+
+
+def test_R_must_be_positive_definite():
+    with pytest.raises(CovarianceError, match="R is not"):
+        FunctionModel(lambda *a: a[0], lambda *a: a[0], np.eye(2), np.diag([1.0, 0.0]))
