@@ -24,6 +24,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 
+_UsageError: type[Exception] = typer.BadParameter.mro()[1]
+"""Base of what typer raises for a bad command line; typer exports no name for it."""
+
 Scenario = Annotated[
     str, typer.Argument(help="bundled name, scenario .toml, MJCF .xml, or a results folder")
 ]
@@ -123,13 +126,25 @@ def _progress(total: int) -> Iterator[Callable[[int, int], None]]:
 
 
 def main() -> None:
-    """Entry point: an `EstbenchError` is one line on stderr and exit code 2, never a traceback."""
+    """Entry point: a mistake of the user is one line on stderr and exit code 2, never a traceback."""
     try:
-        app()
+        code = app(standalone_mode=False)
     except EstbenchError as error:
-        print(f"estbench: {' '.join(str(error).split())}", file=sys.stderr)
+        _complain(str(error))
         sys.exit(2)
-    except KeyboardInterrupt:
+    except _UsageError as error:
+        # Without any argument typer has printed the help and says nothing more.
+        if message := error.format_message():
+            context = error.ctx
+            _complain(message + (f" See {context.command_path} --help" if context else ""))
+        sys.exit(2)
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
     except BrokenPipeError:
         os._exit(0)  # the reader (head, less) has gone; nothing is left to say
+    sys.exit(code)
+
+
+def _complain(message: str) -> None:
+    """One line on stderr."""
+    print(f"estbench: {' '.join(message.split())}", file=sys.stderr)

@@ -67,20 +67,26 @@ def chi_square_band(dof: float | Array, runs: float | Array, level: float = 0.95
 
 
 def judge(
-    anees: Interval, diverged: float, tolerance: float = 0.05, max_diverged: float = 0.05
+    anees: Interval,
+    diverged: float,
+    tolerance: float = 0.05,
+    max_diverged: float = 0.05,
+    precision: float = 0.25,
 ) -> Verdict:
     """The verdict from ANEES/n across runs.
 
     Consistent means that the interval meets [1 - tolerance, 1 + tolerance]: no significant
     difference from 1, or one too small to matter. With tolerance 0 a truly consistent filter is
     refused with probability 1 - level. Above it the filter's errors are larger than its
-    covariance says (overconfident), below it smaller (conservative).
+    covariance says (overconfident), below it smaller (conservative). An interval that excludes
+    nothing because it is wide (few runs, or a few runs with an enormous NEES) is undecided.
 
     Args:
         anees: ANEES/n with its interval across runs.
         diverged: share of runs that diverged.
         tolerance: half-width of what counts as 1 in practice.
         max_diverged: above this share the word is diverging, whatever the rest do.
+        precision: half-width of the interval above which consistent is not said.
     """
     if diverged > max_diverged:
         return Verdict.DIVERGING
@@ -90,6 +96,8 @@ def judge(
         return Verdict.OVERCONFIDENT
     if anees.high < 1 - tolerance:
         return Verdict.CONSERVATIVE
+    if anees.high - anees.low > 2 * precision:
+        return Verdict.UNDECIDED
     return Verdict.CONSISTENT
 
 

@@ -89,8 +89,10 @@ class ProcessNoiseSection(Section):
     """Spectral density Q_s of the disturbance, true and (scaled) assumed."""
 
     kind: Literal["additive", "force", "actuator"] = "additive"
-    density: PerName = Field(
-        0.0, description="diagonal of Q_s: (unit)²/s; forces (N or N m)² s; actuators (ctrl)² s"
+    density: PerName | None = Field(
+        None,
+        description="diagonal of Q_s: (unit)²/s; forces (N or N m)² s; actuators (ctrl)² s; "
+        "default 0.01 on what it can drive (additive: the velocities)",
     )
     matrix: list[list[float]] | None = Field(None, description="full Q_s in place of density")
 

@@ -18,11 +18,13 @@ from estbench.models.differences import Differences
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
 from estbench.naming import expand
-from estbench.scenario import InitialSection, Scenario
+from estbench.scenario import InitialSection, ProcessNoiseSection, Scenario
 from estbench.sensors import Channel, Instant
 from estbench.truth import Simulator
 
 Array = NDArray[np.float64]
+
+DEFAULT_DENSITY = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +147,8 @@ def build(scenario: Scenario) -> Setup:
     )
     for dt in {round(i.end - i.start, 12) for i in instants}:
         whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
-    noise = scenario.process_noise
-    disturbance = Disturbance.build(truth, space, noise.kind, noise.density, noise.matrix)
-    if not disturbance.rank:
-        notices.append("no process noise: set process_noise.density if the filter should have any")
+    disturbance = _disturbance(scenario.process_noise, truth, space, notices)
+    _note_defaults(scenario, truth, notices)
     setup = Setup(
         scenario=scenario,
         plant=controllers.Plant(truth, space, x0, u0, section.frame_skip),
@@ -168,6 +168,46 @@ def build(scenario: Scenario) -> Setup:
         mjcf.parameter(truth, key, "truth.draw")
     setup.controller([0])
     return setup
+
+
+def _disturbance(
+    section: ProcessNoiseSection, model: mujoco.MjModel, space: Manifold, notices: list[str]
+) -> Disturbance:
+    """The true process noise."""
+    density = section.density
+    if density is None:
+        density = DEFAULT_DENSITY
+        if section.kind == "additive":
+            # Noise on the velocities alone: positions then move as their derivatives say.
+            values = np.zeros(space.n)
+            values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
+            density = values.tolist()
+        if section.matrix is None:
+            what = {"additive": "every velocity, (unit)²/s", "force": "every force, (N or N m)² s"}
+            where = what.get(section.kind, "every control, (unit)² s")
+            notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {where}")
+    disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
+    if not disturbance.rank:
+        notices.append("process noise is zero: an estimator's gain will vanish with time")
+    return disturbance
+
+
+def _note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:
+    """Say which defaults stand in for sections that the scenario leaves out."""
+    given = scenario.model_fields_set
+    if scenario.model.keyframe is None:
+        first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
+        notices.append(f"no model.keyframe given; starting about {first}")
+    if "initial" not in given:
+        notices.append(f"no [initial] given; assuming a std of {scenario.initial.std} everywhere")
+    if "control" not in given:
+        notices.append("no [control] given; holding the nominal control")
+    if "simulation" not in given:
+        simulation = scenario.simulation
+        notices.append(
+            f"no [simulation] given; {simulation.runs} runs of {simulation.duration:g} s, "
+            f"seed {simulation.seed}"
+        )
 
 
 def _initial(
