@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import typer
 from rich.console import Console
@@ -24,7 +24,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 
-_UsageError: type[Exception] = typer.BadParameter.mro()[1]
+_UsageError = cast(type[typer.BadParameter], typer.BadParameter.mro()[1])
 """Base of what typer raises for a bad command line; typer exports no name for it."""
 
 Scenario = Annotated[
@@ -126,7 +126,7 @@ def _progress(total: int) -> Iterator[Callable[[int, int], None]]:
 
 
 def main() -> None:
-    """Entry point: a mistake of the user is one line on stderr and exit code 2, never a traceback."""
+    """Entry point: a user's mistake is one line on stderr and exit code 2, never a traceback."""
     try:
         code = app(standalone_mode=False)
     except EstbenchError as error:
@@ -135,8 +135,8 @@ def main() -> None:
     except _UsageError as error:
         # Without any argument typer has printed the help and says nothing more.
         if message := error.format_message():
-            context = error.ctx
-            _complain(message + (f" See {context.command_path} --help" if context else ""))
+            help_ = f"; see {error.ctx.command_path} --help" if error.ctx else ""
+            _complain(message.rstrip(".") + help_)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)

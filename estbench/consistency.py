@@ -61,9 +61,8 @@ def chi_square_band(dof: float | Array, runs: float | Array, level: float = 0.95
     For NEES or NIS averaged over the runs **at one step**, where runs are independent.
     """
     total = np.asarray(dof) * np.asarray(runs)
-    low, high = stats.chi2.ppf([[0.5 - level / 2], [0.5 + level / 2]], np.atleast_1d(total))
-    low, high = low / runs, high / runs
-    return (low, high) if np.ndim(total) else (float(low[0]), float(high[0]))
+    low, high = (stats.chi2.ppf(0.5 + side * level / 2, total) / runs for side in (-1, 1))
+    return (low, high) if np.ndim(total) else (float(low), float(high))
 
 
 def judge(
@@ -102,7 +101,7 @@ def judge(
 
 
 def diverged_runs(normalized: Array, threshold: float, window: int) -> NDArray[np.bool_]:
-    """Runs `(run,)` whose NEES/n `(step, run)` stays above a threshold for `window` steps in a row."""
+    """Runs `(run,)` whose NEES/n `(step, run)` is above a threshold `window` steps in a row."""
     above = normalized > threshold
     window = max(1, min(window, len(above)))
     total = np.concatenate([np.zeros((1, above.shape[1]), np.int64), above.cumsum(axis=0)])

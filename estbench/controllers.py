@@ -8,6 +8,7 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -30,7 +31,7 @@ Controller = Callable[[int, float, Array], Array]
 KINDS = {
     "none": "hold the keyframe's control (zero without a keyframe)",
     "constant": "hold `value`",
-    "sine": "`offset` + sum over `frequencies` (Hz) of `amplitude` sin(2πft + phase of the actuator)",
+    "sine": "`offset` + sum over `frequencies` (Hz) of `amplitude` sin(2πft + its phase)",
     "random": "`offset` + Gauss-Markov noise of `std` and `time_constant` (s)",
     "lqr": "regulate to the keyframe; `state_weight`, `control_weight` (scipy's DARE)",
     "csv": "columns t, then one per actuator, from `path`; held between rows",
@@ -106,7 +107,8 @@ def checked(controller: Controller, what: str, nu: int) -> Controller:
 
     def call(k: int, t: float, x: Array) -> Array:
         try:
-            u = np.asarray(controller(k, t, x), dtype=np.float64)
+            # A copy: a user's function may return the same array again, with other numbers in it.
+            u = np.array(controller(k, t, x), dtype=np.float64)
         except Exception as error:  # a user's function may raise anything
             raise ControllerError(
                 f"controller '{what}' raised at t = {t:g} s: {type(error).__name__}: {error}"
@@ -193,7 +195,7 @@ def _read_csv(path: str | None, names: Sequence[str]) -> tuple[Array, Array]:
     if path is None:
         raise ControllerError("control.path is missing; csv needs the file to read")
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
         header = 0 if _is_number(rows[0][0]) else 1
         table = np.array([[float(cell) for cell in row] for row in rows[header:]])
@@ -229,4 +231,5 @@ def _user(target: str | None) -> Controller:
         raise ControllerError(str(error)) from None
     if not callable(function):
         raise ControllerError(f"control.function: module {module} has no function '{name}'")
-    return lambda k, t, x: function(t, x)
+    user = cast(Callable[[float, Array], Array], function)
+    return lambda k, t, x: user(t, x.copy())  # it may compute in place

@@ -106,22 +106,15 @@ class Manifold:
         stops when every correction is below 1e-13.
         """
         if self.flat:
-            return (
-                (weights @ points)
-                if weights.ndim == 1
-                else (weights[..., None, :] @ points)[..., 0, :]
-            )
+            return _weighted(weights, points)
         mean = points[..., 0, :]
         for _ in range(iterations):
-            residual = self.minus(points, mean[..., None, :])
-            delta = (
-                weights @ residual
-                if weights.ndim == 1
-                else (weights[..., None, :] @ residual)[..., 0, :]
-            )
-            mean = self.plus(mean, delta)
-            if not np.any(np.abs(delta) > 1e-13):
+            delta = _weighted(weights, self.minus(points, mean[..., None, :]))
+            settled = (np.abs(delta) <= 1e-13).all(axis=-1, keepdims=True)
+            if settled.all():
                 break
+            # A settled row stays as it is, so that no row's mean depends on its neighbours.
+            mean = np.where(settled, mean, self.plus(mean, delta))
         return mean
 
     def reset_jacobian(self, delta: Array) -> Array:
@@ -146,3 +139,8 @@ class Manifold:
     def index(self, name: str) -> int:
         """Position of the tangent coordinate `name`."""
         return self.names.index(name)
+
+
+def _weighted(weights: Array, points: Array) -> Array:
+    """Σ wᵢ pᵢ `(..., k)` for weights `(point,)` or `(..., point)` and points `(..., point, k)`."""
+    return weights @ points if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]

@@ -56,6 +56,8 @@ DIAGONAL = {
     "dof": Field(EACH, "i8", "dimension of the innovation"),
 }
 FULL = {"cov": Field((*EACH, "coordinate", "coordinate_"), "f8", "P in the tangent at x̂")}
+RESERVED = {"run", "time", "coordinate", "coordinate_", "unit", "done", "truth"}
+"""What stands beside the estimators in a store, so that none may be called so."""
 TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}
 
 

@@ -33,8 +33,8 @@ def conjugate(q: Array) -> Array:
 def normalize(q: Array) -> Array:
     """Scale quaternions `(..., 4)` to unit length; a zero quaternion becomes the identity."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    unit = q / np.where(norm > 0, norm, 1.0)
-    return np.where(norm > 0, unit, np.array([1.0, 0.0, 0.0, 0.0]))
+    zero = norm == 0  # a NaN stays a NaN
+    return np.where(zero, np.array([1.0, 0.0, 0.0, 0.0]), q / np.where(zero, 1.0, norm))
 
 
 def exp(phi: Array) -> Array:

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -132,6 +132,22 @@ class ControlSection(Section):
     function: str | None = Field(None, description="user: module:function(t, x) -> u")
 
 
+class TaskSection(Section):
+    """What a Gymnasium policy is rewarded for; see docs/gymnasium.md."""
+
+    target: PerName = Field(0.0, description="goal minus keyframe, per tangent coordinate")
+    state_weight: PerName = Field(1.0, description="cost of a squared distance from the goal")
+    control_weight: PerName = Field(
+        0.0, description="cost of a squared control minus the keyframe's"
+    )
+    alive: float = Field(1.0, description="reward of a step that stays within the bounds")
+    bounds: dict[str, Positive] = Field(
+        default_factory=dict,
+        description="largest distance from the goal, per coordinate; beyond it the episode ends",
+    )
+    horizon: Positive | None = Field(None, description="s; default simulation.duration")
+
+
 class ConsistencySection(Section):
     """How the verdict is made; see docs/statistics.md."""
 
@@ -141,7 +157,7 @@ class ConsistencySection(Section):
     )
     burn_in: Annotated[float, Field(ge=0)] = Field(0.0, description="s left out at the start")
     divergence_threshold: Positive = Field(
-        100.0, description="a run diverges when NEES/n stays above this ..."
+        1000.0, description="a run diverges when NEES/n stays above this ..."
     )
     divergence_duration: Annotated[float, Field(ge=0)] = Field(0.5, description="... for this, s")
 
@@ -160,6 +176,7 @@ class Scenario(Section):
     process_noise: ProcessNoiseSection = ProcessNoiseSection()
     channels: dict[str, ChannelSection] = Field(default_factory=dict)
     control: ControlSection = ControlSection()
+    task: TaskSection = TaskSection()
     estimators: dict[str, dict[str, Any]] = Field(
         default_factory=lambda: {"ekf": {}, "ukf": {}},
         description="label = {type = name, setting = value, ...}; type defaults to the label",
@@ -268,6 +285,8 @@ def _apply(data: dict[str, Any], override: str) -> None:
         value = text.strip()
     try:
         parts = tomllib.loads(f"{key} = 0")
+        if not parts:  # a comment
+            raise tomllib.TOMLDecodeError
     except tomllib.TOMLDecodeError:
         raise ScenarioError(f"--set {override!r}: '{key}' is not a dotted TOML key") from None
     table = data
@@ -304,14 +323,21 @@ def _explain(error: Any) -> str:
     where = ".".join(str(part) for part in error["loc"]) or "scenario"
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "extra_forbidden":
-        fields: Any = Scenario
+        section: Any = Scenario
         for part in error["loc"][:-1]:
-            info = getattr(fields, "model_fields", {}).get(part)
-            fields = info.annotation if info is not None else None
-        known = getattr(fields, "model_fields", None) or (
-            ChannelSection.model_fields if error["loc"][0] == "channels" else {}
-        )
+            section = _inside(section, part)
+        known = getattr(section, "model_fields", {})
         return f"{where}: unknown key{did_you_mean(str(error['loc'][-1]), known)}"
     given = error.get("input")
     shown = f", got {given!r}" if isinstance(given, str | int | float | bool) else ""
     return f"{where}: {message}{shown}"
+
+
+def _inside(section: Any, key: Any) -> Any:
+    """The section class found under `key` of a section or of a table of sections."""
+    fields = getattr(section, "model_fields", None)
+    annotation = fields[key].annotation if fields and key in fields else section
+    options = [annotation, *get_args(annotation)]
+    options += [arg for option in options for arg in get_args(option)]
+    found = [o for o in options if isinstance(o, type) and issubclass(o, Section)]
+    return found[0] if found else annotation

@@ -1,5 +1,6 @@
 """From a validated scenario to the objects of an experiment: models, sensors, schedule, noise."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ from estbench.models.differences import Differences
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
 from estbench.naming import expand
+from estbench.records import RESERVED
 from estbench.scenario import InitialSection, ProcessNoiseSection, Scenario
 from estbench.sensors import Channel, Instant
 from estbench.truth import Simulator
@@ -127,6 +129,9 @@ def build(scenario: Scenario) -> Setup:
         settings={**section.set, **belief.set},
         where="filter",
     )
+    for name, model in (("model", truth), ("filter", believed)):
+        if not model.opt.timestep > 0:
+            raise ScenarioError(f"{name}.timestep is {model.opt.timestep:g} s; use one above 0")
     space = layout.state_space(truth)
     if not space.n:
         raise ScenarioError(
@@ -145,6 +150,12 @@ def build(scenario: Scenario) -> Setup:
     instants = sensors.schedule(
         channels, truth.opt.timestep, section.frame_skip, scenario.simulation.duration
     )
+    burn_in, end = scenario.consistency.burn_in, instants[-1].end
+    if burn_in >= end:
+        raise ScenarioError(
+            f"consistency.burn_in is {burn_in:g} s, which leaves nothing of a run of {end:g} s; "
+            "shorten it or raise simulation.duration"
+        )
     for dt in {round(i.end - i.start, 12) for i in instants}:
         whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
     disturbance = _disturbance(scenario.process_noise, truth, space, notices)
@@ -163,6 +174,11 @@ def build(scenario: Scenario) -> Setup:
         notices=tuple(notices),
     )
     for label in scenario.estimators:
+        if label in RESERVED or not re.fullmatch(r"(?!__)\w[\w.+-]*", label):
+            raise ScenarioError(
+                f"estimators: the label '{label}' cannot name a group of results; use letters, "
+                f"digits, '.', '-', '+' or '_', but not {', '.join(sorted(RESERVED))}"
+            )
         setup.estimator(label)
     for key in scenario.truth.draw:
         mjcf.parameter(truth, key, "truth.draw")

@@ -73,7 +73,7 @@ def summarize(
         section: level and tolerance of the verdict.
     """
     good = ~record["diverged"].astype(bool)
-    share = float(1.0 - good.mean())
+    share = float(np.mean(~good))
     level = section.level
     anees = mean_interval(record["anees"][good], level)
     failed = np.flatnonzero(record["fault"])

@@ -7,6 +7,7 @@ same file; `done[run]` is set last. An unfinished store is readable: take the ru
 import contextlib
 import json
 import platform
+import re
 import shutil
 import warnings
 from collections.abc import Sequence
@@ -29,7 +30,8 @@ STORE, SCENARIO = "data.zarr", "scenario.toml"
 
 def default_folder(name: str) -> Path:
     """`results/<scenario>-<time>`, the time in UTC to the second."""
-    return Path("results") / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
+    safe = re.sub(r"[^\w.-]+", "_", name).strip("._")
+    return Path("results") / f"{safe}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
 
 
 class Store:
@@ -48,18 +50,23 @@ class Store:
     def __init__(self, folder: Path, setup: Setup, keep: str, batches: Sequence[Sequence[int]]):
         self.folder = folder
         self._keep = keep
-        if folder.exists():
-            raise StoreError(f"{folder} exists; choose another --out or remove it")
+        self._made = [path for path in folder.parents if not path.exists()]
         try:
             folder.mkdir(parents=True)
+        except FileExistsError:
+            raise StoreError(f"{folder} exists; choose another --out or remove it") from None
+        except OSError as error:
+            raise self._unwritable(error) from None
+        try:
             (folder / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
             self._root = zarr.open_group(str(folder / STORE), mode="w-", zarr_format=3)
             self._template(setup, batches)
         except OSError as error:
             self.discard()
-            raise StoreError(
-                f"{folder} cannot be written: {error.strerror}; choose --out"
-            ) from None
+            raise self._unwritable(error) from None
+        except BaseException:  # Ctrl-C, or anything else: an empty template is of no use
+            self.discard()
+            raise
 
     def write(self, batch: int, runs: slice, truth: Record, records: dict[str, Record]) -> None:
         """Write one batch and mark its runs done.
@@ -77,7 +84,7 @@ class Store:
                     array[where] = value  # type: ignore[index]
             self._root["done"][runs] = True  # type: ignore[index]
         except OSError as error:
-            raise StoreError(f"{self.folder} cannot be written: {error.strerror}") from None
+            raise self._unwritable(error) from None
 
     def close(self) -> None:
         """Consolidate the metadata, so that opening reads one file."""
@@ -86,9 +93,16 @@ class Store:
             zarr.consolidate_metadata(str(self.folder / STORE))
 
     def discard(self) -> None:
-        """Remove the folder: nothing in it was finished."""
+        """Remove the folder, and the parents made for it: nothing in it was finished."""
         with contextlib.suppress(OSError):
             shutil.rmtree(self.folder)
+            for parent in self._made:
+                parent.rmdir()  # refused, and so kept, if something else lies in it
+
+    def _unwritable(self, error: OSError) -> StoreError:
+        return StoreError(
+            f"{self.folder} cannot be written: {error.strerror or error}; choose another --out"
+        )
 
     def _dims(self, group: str, name: str) -> tuple[str, ...]:
         return (TRUTH if group == "truth" else fields(self._keep))[name].dims

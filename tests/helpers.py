@@ -1,6 +1,7 @@
 """Models and estimators to parametrize over."""
 
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,6 +16,11 @@ from estbench.models.linear import LinearModel
 from estbench.models.mujoco import MujocoModel, SensorChannel
 
 ESTIMATORS = sorted(registry.known())
+SAMPLED = {"enkf", "particle", "pf"}  # their moments err by 1/sqrt(size)
+CONTINUOUS = {"cd_ekf", "cdekf"}  # they need a ContinuousModel
+DISCRETE = [name for name in ESTIMATORS if name not in CONTINUOUS]
+EXACT = [name for name in DISCRETE if name not in SAMPLED]
+"""Estimators that on a linear-Gaussian model are the Kalman filter."""
 
 JOINTS = """
 <mujoco>
@@ -23,7 +29,8 @@ JOINTS = """
   <worldbody>
     <body><joint name="lift" type="slide" axis="0 0.6 0.8" damping="0.5"/>
       <geom type="box" size="0.1 0.2 0.15"/>
-      <body pos="0 0 0.3"><joint name="swing" type="hinge" axis="1 0 0" pos="0 0 0.2" damping="0.1"/>
+      <body pos="0 0 0.3">
+        <joint name="swing" type="hinge" axis="1 0 0" pos="0 0 0.2" damping="0.1"/>
         <geom type="capsule" size="0.05 0.2"/>
         <body pos="0.3 0 0"><joint name="wrist" type="ball" damping="0.05"/>
           <geom type="box" size="0.1 0.05 0.2" pos="0.1 0.02 0"/>
@@ -69,6 +76,20 @@ ACTIVATIONS = """
   </sensor>
 </mujoco>"""
 
+FREE = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body><{joint} name="root"/><geom type="box" size="0.2 0.1 0.05" pos="0.02 0 0.01" mass="1"/>
+      <site name="imu" pos="0.05 0.02 0"/>
+    </body>
+  </worldbody>
+  <sensor>
+    <framequat name="attitude" objtype="site" objname="imu"/>
+    <framepos name="position" objtype="site" objname="imu"/> <gyro name="gyro" site="imu"/>
+  </sensor>
+</mujoco>"""
+
 CONTACT = """
 <mujoco>
   <option timestep="0.002"/>
@@ -88,12 +109,13 @@ SENSORS = """
   <worldbody>
     <geom name="floor" type="plane" size="5 5 0.1"/>
     <body name="arm" pos="0 0 1">
-      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.1" range="-0.2 0.2" limited="true"/>
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.1"
+        range="-0.2 0.2" limited="true"/>
       <geom name="arm" type="capsule" size="0.04" fromto="0 0 0 0.4 0 0" mass="1"/>
       <site name="tool" pos="0.4 0 0" euler="10 20 30"/>
       <body name="hand" pos="0.5 0 0"><joint name="wrist" type="ball" damping="0.02"/>
         <geom name="hand" type="box" size="0.05 0.04 0.03" pos="0.03 0 0" mass="0.3"/>
-        <site name="imu" pos="0.02 0.01 0"/>
+        <site name="imu" pos="0.02 0.01 0"/> <site name="down" pos="0 0 -0.06" euler="180 0 0"/>
       </body>
     </body>
   </worldbody>
@@ -102,9 +124,13 @@ SENSORS = """
   <sensor>
     <jointpos name="jointpos" joint="shoulder"/> <jointvel name="jointvel" joint="shoulder"/>
     <jointactuatorfrc name="jointactfrc" joint="shoulder"/>
+    <jointlimitpos name="jointlimitpos" joint="shoulder"/>
+    <jointlimitvel name="jointlimitvel" joint="shoulder"/>
     <jointlimitfrc name="jointlimitfrc" joint="shoulder"/>
     <ballquat name="ballquat" joint="wrist"/> <ballangvel name="ballangvel" joint="wrist"/>
     <tendonpos name="tendonpos" tendon="cord"/> <tendonvel name="tendonvel" tendon="cord"/>
+    <rangefinder name="rangefinder" site="down"/>
+    <distance name="geomdist" geom1="floor" geom2="hand" cutoff="5"/>
     <actuatorpos name="actuatorpos" actuator="motor"/>
     <actuatorvel name="actuatorvel" actuator="motor"/>
     <actuatorfrc name="actuatorfrc" actuator="motor"/>
@@ -114,6 +140,7 @@ SENSORS = """
     <framepos name="framepos" objtype="site" objname="imu"/>
     <framequat name="framequat" objtype="site" objname="imu"/>
     <framexaxis name="framexaxis" objtype="site" objname="imu"/>
+    <framezaxis name="framezaxis" objtype="site" objname="imu"/>
     <framelinvel name="framelinvel" objtype="site" objname="imu"/>
     <frameangvel name="frameangvel" objtype="site" objname="imu"/>
     <framelinacc name="framelinacc" objtype="site" objname="imu"/>
@@ -129,6 +156,8 @@ ZOO = {
     "activations": ACTIVATIONS.format(integrator="Euler"),
     "implicitfast": ACTIVATIONS.format(integrator="implicitfast"),
     "rk4": JOINTS.replace("Euler", "RK4"),
+    "free": FREE.format(joint="freejoint"),
+    "ball": FREE.format(joint='joint type="ball"'),
     "contact": CONTACT,
     "sensors": SENSORS,
 }
@@ -147,7 +176,12 @@ def all_channels(model: mujoco.MjModel, std: float = 0.1) -> list[SensorChannel]
 
 
 def mujoco_model(
-    name: str, kind="additive", density=0.0, nthread=1, differences=None, channels=None
+    name: str,
+    kind: Any = "additive",
+    density: Any = 0.0,
+    nthread=1,
+    differences=None,
+    channels=None,
 ) -> MujocoModel:
     model = zoo_model(name)
     chosen = [c for c in all_channels(model) if channels is None or c.name in channels]

@@ -91,7 +91,12 @@ def test_q_and_minus_q_are_one_state(name, seed):
 @every_model
 @given(seed=seeds)
 def test_reset_jacobian_against_differences(name, seed):
-    space, x, delta, step = SPACES[name], point(SPACES[name], seed), tangent(SPACES[name], seed), 1e-6
+    space, x, delta, step = (
+        SPACES[name],
+        point(SPACES[name], seed),
+        tangent(SPACES[name], seed),
+        1e-6,
+    )
     e = step * np.eye(space.n)
     end = space.plus(x, delta)
     up, down = (space.minus(space.plus(x, delta + s * e), end) for s in (1, -1))
@@ -168,7 +173,9 @@ def test_euclidean_is_flat_addition():
     assert (space.n, space.nx, space.index("b")) == (2, 2, 1)
     np.testing.assert_array_equal(space.plus(x, delta), [[1.5, 1.0]])
     np.testing.assert_array_equal(space.minus(x, delta), [[0.5, 3.0]])
-    np.testing.assert_array_equal(space.mean(np.array([[0.0, 1], [4, 3]]), np.array([0.25, 0.75])), [3, 2.5])
+    np.testing.assert_array_equal(
+        space.mean(np.array([[0.0, 1], [4, 3]]), np.array([0.25, 0.75])), [3, 2.5]
+    )
     np.testing.assert_array_equal(space.reset_jacobian(delta), np.eye(2)[None])
 
 

@@ -23,6 +23,7 @@ def test_bundled_scenarios_load_and_round_trip(name, tmp_path):
     assert scenario.name == name
     assert scenario.model.path.startswith("estbench:assets/")
     assert mjcf.locate(scenario.model.path).is_file()
+    assert "divergence_threshold" in scenario.to_toml()  # defaults are spelled out
     path = write(tmp_path, scenario.to_toml())
     assert load(path) == scenario
     assert load(tmp_path) == scenario  # a results folder holds its scenario
@@ -197,7 +198,7 @@ def test_nothing_there(source, message):
 
 
 def test_a_file_of_another_kind(tmp_path):
-    with pytest.raises(ScenarioError, match="neither .toml nor .xml"):
+    with pytest.raises(ScenarioError, match=r"neither \.toml nor \.xml"):
         load(write(tmp_path, "", "robot.urdf"))
 
 

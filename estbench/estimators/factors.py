@@ -69,9 +69,7 @@ def factor_settle(
     return factor_belief(space.plus(prior.mean, delta), factor, prior.fault, fault)
 
 
-def lost(
-    factor: Array, ingredients: Array, code: Fault = Fault.COVARIANCE
-) -> NDArray[np.uint8]:
+def lost(factor: Array, ingredients: Array, code: Fault = Fault.COVARIANCE) -> NDArray[np.uint8]:
     """The fault `(run,)` where a factor is not finite although what it was made of is."""
     failed = ~np.isfinite(factor).all(axis=(-2, -1))
     failed = failed & np.isfinite(ingredients).all(axis=(-2, -1))
@@ -133,7 +131,7 @@ def cholesky_update(factor: Array, vector: Array, weight: float = 1.0) -> Array:
 
     Column by column: a plane rotation takes v's component into the diagonal for w > 0 (LINPACK
     `dchud`), a hyperbolic one in its mixed, stable form for w < 0 (Golub & Van Loan, Matrix
-    Computations, 4th ed., sec. 6.5.4). n vectorized steps of O(n) each.
+    Computations, 4th ed., sec. 6.5). n vectorized steps of O(n) each.
 
     Args:
         factor: L lower triangular `(run, n, n)`.

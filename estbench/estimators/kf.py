@@ -131,7 +131,8 @@ def tangent_map(
     outward = (slope @ inward[..., None])[..., 0]
     if not source.flat:
         transposed = np.swapaxes(source.reset_jacobian(inward), -1, -2)
-        slope = np.swapaxes(np.linalg.solve(transposed, np.swapaxes(slope, -1, -2)), -1, -2)
+        solved = np.linalg.solve(transposed, np.swapaxes(slope, -1, -2))
+        slope = np.asarray(np.swapaxes(solved, -1, -2), np.float64)
     if not target.flat:
         slope = target.reset_jacobian(outward) @ slope
     return target.plus(image, outward), slope
@@ -145,7 +146,7 @@ def linear_update(
     R: Array,
     mask: NDArray[np.bool_] | None = None,
 ) -> tuple[Belief, Innovation]:
-    """Condition on ν = H e + v: K = P Hᵀ S⁻¹, P⁺ = (I - K H) P (I - K H)ᵀ + K R Kᵀ (Bishop, eq. 19)."""
+    """Condition on ν = H e + v: K = P Hᵀ S⁻¹ (Bishop, eq. 20), P⁺ in Joseph's form (eq. 19)."""
     P = belief.cov
     PHt = P @ np.swapaxes(H, -1, -2)
     c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)

@@ -61,20 +61,18 @@ class LKF(GaussianEstimator):
     def init(self, mean: Array, cov: Array) -> NominalBelief:
         """Start from mean `(run, nx)`, which is also the nominal state, and cov `(run, n, n)`."""
         start = super().init(mean, cov)
-        return NominalBelief(start.mean, start.cov, start.fault, start.mean, np.zeros(len(mean), bool))
+        return NominalBelief(
+            start.mean, start.cov, start.fault, start.mean, np.zeros(len(mean), bool)
+        )
 
     def predict(self, belief: NominalBelief, u: Array, t: float, dt: float) -> NominalBelief:
         """Move the nominal, x̂⁻ and P⁻ = Φ P⁺ Φᵀ + Q, with Φ and Q at x*."""
         model, belief = self.model, self._handed_over(belief, t)
         nominal, slope = model.transition_jacobian(belief.nominal, u, t, dt)
-        mean, F = tangent_map(
-            model.space, model.space, belief.mean, belief.nominal, nominal, slope
-        )
+        mean, F = tangent_map(model.space, model.space, belief.mean, belief.nominal, nominal, slope)
         Q = model.process_noise(belief.nominal, u, t, dt)
         cov = symmetrize(F @ belief.cov @ np.swapaxes(F, -1, -2) + Q)
-        return cast(
-            NominalBelief, marked(replace(belief, mean=mean, cov=cov, nominal=nominal))
-        )
+        return cast(NominalBelief, marked(replace(belief, mean=mean, cov=cov, nominal=nominal)))
 
     def update(
         self,
@@ -89,9 +87,7 @@ class LKF(GaussianEstimator):
         model, belief = self.model, self._handed_over(belief, t)
         output = model.output(channels)
         image, slope = model.measurement_jacobian(belief.nominal, u, t, channels)
-        predicted, H = tangent_map(
-            model.space, output, belief.mean, belief.nominal, image, slope
-        )
+        predicted, H = tangent_map(model.space, output, belief.mean, belief.nominal, image, slope)
         R = model.measurement_noise(t, channels)
         return linear_update(model.space, belief, output.minus(y, predicted), H, R, mask)
 

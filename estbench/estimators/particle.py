@@ -41,9 +41,9 @@ class ParticleFilter:
         threshold: resample (systematic, Kitagawa 1996) when the effective sample size
             1/Σ w² is below this share of `size`; 0 never, 1 always.
         regularization: after resampling, spread the particles by a Gaussian kernel of this many
-            times the optimal bandwidth (Musso, Oudjane & Le Gland 2001, eq. 12.2.7), shrunk towards
-            their mean so that mean and covariance are kept (Liu & West 2001, sec. 10.3.2). 0 is off;
-            0.5 to 1 keeps particles distinct when Q is small.
+            times the optimal bandwidth (Silverman 1986, sec. 4.3; Musso, Oudjane & Le Gland 2001),
+            shrunk towards their mean so that mean and covariance are kept (Liu & West 2001).
+            0 is off; 0.5 to 1 keeps particles distinct when Q is small.
     """
 
     model: Model
@@ -75,7 +75,7 @@ class ParticleFilter:
         channels: Channels = None,
         mask: NDArray[np.bool_] | None = None,
     ) -> tuple[Particles, Innovation]:
-        """log wᵢ += log N(y ⊖ h(xᵢ); 0, R), then resampling where it is due.
+        """Adds log N(y ⊖ h(xᵢ); 0, R) to log wᵢ, then resamples where it is due.
 
         The innovation is that of the particles' prior mean and covariance.
         """
@@ -84,7 +84,7 @@ class ParticleFilter:
         R = np.broadcast_to(self.model.measurement_noise(t, channels), (len(y), m, m))
         images = self.model.measurement(belief.points, u, t, channels)
         present = np.ones((len(y), m), bool) if mask is None else mask
-        blind = ~np.isfinite(images).all(axis=-1)
+        blind = _unfinite(images)
         images = np.where(blind[..., None], _best(belief, images, blind)[:, None], images)
         weights = _weights(belief)
         predicted = output.mean(images, weights)
@@ -100,6 +100,8 @@ class ParticleFilter:
         counter = belief.counter + arrived[:, 0].astype(np.uint64)
         logs = np.where(arrived, belief.log_weights + gained, belief.log_weights)
         weighted = _settled(replace(belief, log_weights=logs))
+        logs = np.where(arrived, weighted.log_weights, belief.log_weights)
+        weighted = replace(weighted, log_weights=logs)
         return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), c.innovation
 
     def mean(self, belief: Particles) -> Array:
@@ -152,7 +154,9 @@ def systematic(weights: Array, start: Array) -> NDArray[np.intp]:
     """
     runs, size = weights.shape
     total = np.cumsum(weights, axis=-1)
-    below = np.clip(np.ceil(size * (total / total[:, -1:]) - start), 0, size).astype(np.intp)
+    share = total / total[:, -1:]
+    below = np.clip(np.ceil(size * share - start), 0, size)
+    below = np.where(share < 1.0, below, size).astype(np.intp)  # whatever the rounding at its end
     rows = np.arange(runs)[:, None] * (size + 1)
     counts = np.bincount((below + rows).ravel(), minlength=runs * (size + 1))
     return np.cumsum(counts.reshape(runs, size + 1)[:, :size], axis=-1)
@@ -169,6 +173,11 @@ def _covariance(space: Manifold, belief: Particles, mean: Array) -> Array:
     return symmetrize(np.swapaxes(deviation * _weights(belief)[..., None], -1, -2) @ deviation)
 
 
+def _unfinite(values: Array) -> NDArray[np.bool_]:
+    """Where a particle's value `(run, particle, k)` is not finite `(run, particle)`."""
+    return np.asarray(~np.isfinite(values).all(axis=-1))
+
+
 def _best(belief: Particles, values: Array, dead: NDArray[np.bool_]) -> Array:
     """The value `(run, k)` of each run's heaviest particle that is not dead."""
     index = np.argmax(np.where(dead, -np.inf, belief.log_weights), axis=-1)
@@ -177,7 +186,7 @@ def _best(belief: Particles, values: Array, dead: NDArray[np.bool_]) -> Array:
 
 def _settled(belief: Particles) -> Particles:
     """Weights normalized, dead particles parked at a live one, runs without any marked."""
-    dead = ~np.isfinite(belief.points).all(axis=-1)
+    dead = _unfinite(belief.points)
     logs = np.where(dead, -np.inf, belief.log_weights)
     points = belief.points
     if dead.any():

@@ -73,9 +73,11 @@ def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
     arguments = dict(settings)
     name = arguments.pop("type", label)
     cls = resolve(name)
-    accepted = [p for p in inspect.signature(cls).parameters if p not in ("model", "self")]
+    parameters = inspect.signature(cls).parameters
+    accepted = [p for p in parameters if p not in ("model", "self")]
+    anything = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for setting in arguments:
-        if setting not in accepted:
+        if setting not in accepted and not anything:
             raise EstimatorError(
                 f"{label}: no setting '{setting}'{did_you_mean(setting, accepted)}"
             )

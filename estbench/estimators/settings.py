@@ -1,6 +1,7 @@
 """Checks of estimator settings; each error names the estimator, the setting, the value, the remedy."""
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 from estbench.errors import EstimatorError
@@ -25,11 +26,20 @@ def in_range(
 ) -> None:
     """Raise unless the setting is a number in [low, high], or in (low, high] if `low_open`."""
     value = getattr(estimator, setting)
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
     inside = number and (low < value <= high if low_open else low <= value <= high)
     if not inside:
         bracket = "(" if low_open else "["
         raise EstimatorError(
             f"{type(estimator).__name__}: {setting} is {value!r}; use a number in "
             f"{bracket}{low:g}, {high:g}]"
+        )
+
+
+def switch(estimator: Any, setting: str) -> None:
+    """Raise unless the setting is true or false."""
+    value = getattr(estimator, setting)
+    if not isinstance(value, bool):
+        raise EstimatorError(
+            f"{type(estimator).__name__}: {setting} is {value!r}; use true or false"
         )

@@ -52,3 +52,23 @@ def scaled(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) ->
     cov_weights = mean_weights.copy()
     cov_weights[0] += 1.0 - alpha**2 + beta
     return SigmaPoints(np.concatenate([np.zeros((1, n)), root, -root]), mean_weights, cov_weights)
+
+
+def cubature(n: int) -> SigmaPoints:
+    """The third-degree spherical-radial rule (Arasaratnam & Haykin 2009).
+
+    2 n points ± sqrt(n) eᵢ of equal weight 1/(2 n).
+    """
+    root, weights = np.sqrt(n) * np.eye(n), np.full(2 * n, 0.5 / n)
+    return SigmaPoints(np.concatenate([root, -root]), weights, weights)
+
+
+def gauss_hermite(n: int, order: int) -> SigmaPoints:
+    """The product of `order`-point Gauss-Hermite rules (Ito & Xiong 2000).
+
+    orderⁿ points; exact for polynomials of degree 2 order - 1 in each coordinate.
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(order)
+    choice = np.indices((order,) * n).reshape(n, -1).T
+    weights = (weights / weights.sum())[choice].prod(axis=-1)
+    return SigmaPoints(nodes[choice], weights, weights)

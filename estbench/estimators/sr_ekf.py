@@ -1,4 +1,4 @@
-"""Square-root extended Kalman filter in array form (Kailath, Sayed & Hassibi 2000, sec. 12.3)."""
+"""Square-root extended Kalman filter in array form (Kailath, Sayed & Hassibi 2000, ch. 12)."""
 
 from dataclasses import dataclass
 

@@ -36,7 +36,7 @@ class SquareRootUKF(FactorEstimator):
     K S^½ from L by one downdate a component. It equals the UKF up to rounding.
 
     Cost per step: 2 n + 1 transitions and 2 n + 1 measurements, no Cholesky factorization of P.
-    Choose it over the UKF when P is badly conditioned; a semidefinite P₀ is welcome.
+    Choose it over the UKF when P is badly conditioned.
 
     Attributes:
         model: the filter's model.
@@ -53,6 +53,7 @@ class SquareRootUKF(FactorEstimator):
     def __post_init__(self) -> None:
         in_range(self, "alpha", 0.0, 1.0, low_open=True)
         in_range(self, "beta", 0.0)
+        in_range(self, "kappa")
         n = self.model.space.n
         if not n + self.kappa > 0:
             raise EstimatorError(
@@ -62,7 +63,7 @@ class SquareRootUKF(FactorEstimator):
         object.__setattr__(self, "rule", scaled(n, self.alpha, self.beta, self.kappa))
 
     def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
-        """x̂⁻ and L⁻ from the propagated points (van der Merwe & Wan 2001, eq. 17-21)."""
+        """x̂⁻ and L⁻ from the propagated points, time update of algorithm 3.1."""
         space = self.model.space
         points = self.rule.draw(space, belief.mean, belief.factor)
         points = self.model.transition(points, u, t, dt)
@@ -81,7 +82,7 @@ class SquareRootUKF(FactorEstimator):
         channels: Channels = None,
         mask: NDArray[np.bool_] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
-        """K = (Pxy S^-ᵀ½) S^-½; L⁺ is L⁻ downdated by K S^½ (eq. 22-29)."""
+        """K = (Pxy S^-ᵀ½) S^-½; L⁺ is L⁻ downdated by K S^½ (algorithm 3.1)."""
         space, output = self.model.space, self.model.output(channels)
         points = self.rule.draw(space, belief.mean, belief.factor)
         images = self.model.measurement(points, u, t, channels)

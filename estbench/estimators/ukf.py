@@ -15,7 +15,7 @@ from estbench.estimators.base import (
     marked,
     settle,
 )
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import in_range, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.linalg import cholesky, symmetrize
 from estbench.models.base import Channels, Model
@@ -122,6 +122,8 @@ class UKF(SigmaPointFilter):
     def __post_init__(self) -> None:
         in_range(self, "alpha", 0.0, 1.0, low_open=True)
         in_range(self, "beta", 0.0)
+        in_range(self, "kappa")
+        switch(self, "redraw")
         n = self.model.space.n
         if not n + self.kappa > 0:
             raise EstimatorError(

@@ -83,9 +83,8 @@ def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:
             raise ScenarioError(
                 f"channels.{name}.add.object_type: no object type '{kind}'; use joint, site, body, ..."
             )
-        spec.add_sensor(
-            name=name, type=SENSOR_TYPES[sensor.type], objtype=objtype, objname=sensor.object
-        )
+        attached = {"objtype": objtype, "objname": sensor.object} if sensor.object else {}
+        spec.add_sensor(name=name, type=SENSOR_TYPES[sensor.type], **attached)
     return spec
 
 
@@ -97,7 +96,7 @@ def compile_model(
     settings: Mapping[str, float | Sequence[float]] | None = None,
     where: str = "model",
 ) -> mujoco.MjModel:
-    """Compile a copy without delays and histories, and apply the overrides.
+    """Compile without delays and histories, and apply the overrides.
 
     MuJoCo's own sensor `interval`, `delay` and `nsample` are cleared: estbench applies rates and
     delays itself, on noise-free readings. Actuator delays cannot be cleared without changing the
@@ -106,16 +105,18 @@ def compile_model(
     Raises:
         ScenarioError: it does not compile, has actuator delays, or an override names nothing.
     """
-    spec = spec.copy()
-    for sensor in spec.sensors:
-        sensor.nsample, sensor.delay, sensor.interval = 0, 0.0, [0.0, 0.0]
-    for actuator in spec.actuators:
-        if actuator.nsample > 0:
-            raise ScenarioError(
-                f"actuator '{actuator.name}' has nsample={actuator.nsample}: its delay is a hidden "
-                "state that no estimator sees; remove nsample and delay from the MJCF"
-            )
     try:
+        # Before the copy: `MjSpec.copy` drops, without a word, whatever refers to nothing.
+        spec.compile()
+        spec = spec.copy()
+        for sensor in spec.sensors:
+            sensor.nsample, sensor.delay, sensor.interval = 0, 0.0, [0.0, 0.0]
+        for actuator in spec.actuators:
+            if actuator.nsample > 0:
+                raise ScenarioError(
+                    f"actuator '{actuator.name}' has nsample={actuator.nsample}: its delay is a "
+                    "hidden state that no estimator sees; remove nsample and delay from the MJCF"
+                )
         model = spec.compile()
     except ValueError as error:
         raise ScenarioError(f"{where}: MJCF does not compile: {_one_line(error)}") from None
@@ -131,6 +132,8 @@ def compile_model(
     model.opt.disableflags |= (
         flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
     )
+    # With this flag the energy sensors of a row would read another row's energies.
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     return model
 
 

@@ -157,13 +157,15 @@ class MujocoModel:
         R = np.zeros((space.n, space.n))
         start = 0
         for channel in chosen:
-            block = slice(start, start + len(channel.cov))
+            width = layout.sensor_space(self.mjmodel, [channel.index]).n
+            if channel.cov.shape != (width, width):
+                raise DimensionError(
+                    f"channel '{channel.name}': R has shape {channel.cov.shape}; "
+                    f"expected {(width, width)}"
+                )
+            block = slice(start, start + width)
             R[block, block] = channel.cov
             start = block.stop
-        if start != space.n:
-            raise DimensionError(
-                f"the channels' R have {start} rows; their readings have {space.n}"
-            )
         return _Selection(
             sensor_columns(self.mjmodel, sensors), needed_stage(self.mjmodel, sensors), space, R
         )
@@ -177,7 +179,15 @@ def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.
 
 def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
     """The highest pipeline stage (mjtStage) that the sensors need."""
-    return max((int(model.sensor_needstage[i]) for i in sensors), default=0)
+    return max((_stage(model, i) for i in sensors), default=0)
+
+
+def _stage(model: mujoco.MjModel, sensor: int) -> int:
+    stage = int(model.sensor_needstage[sensor])
+    if model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_E_KINETIC:
+        # Declared as position stage, but its velocity part is then another row's.
+        stage = max(stage, int(mujoco.mjtStage.mjSTAGE_VEL))
+    return stage
 
 
 def whole_steps(dt: float, timestep: float, what: str) -> int:

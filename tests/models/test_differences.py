@@ -14,7 +14,9 @@ def cubic(x):
     return np.stack([x[..., 0] ** 3, x[..., 0] * x[..., 1], np.sin(x[..., 1])], axis=-1)
 
 
-@pytest.mark.parametrize(("scheme", "step", "tolerance"), [("forward", 1e-6, 1e-5), ("centered", 1e-5, 1e-9)])
+@pytest.mark.parametrize(
+    ("scheme", "step", "tolerance"), [("forward", 1e-6, 1e-5), ("centered", 1e-5, 1e-9)]
+)
 def test_value_and_jacobian(scheme, step, tolerance):
     x = np.array([[0.5, -0.3], [1.0, 2.0]])
     value, J = Differences(scheme, step).jacobian(cubic, LINE, Manifold.euclidean(3), x)
@@ -27,7 +29,9 @@ def test_value_and_jacobian(scheme, step, tolerance):
 def test_the_order_of_the_error():
     # d(x³) at 1: forward errs by 3 step + step², centered by step².
     for scheme, error in (("forward", 3e-2 + 1e-4), ("centered", 1e-4)):
-        _, J = Differences(scheme, 1e-2).jacobian(cubic, LINE, Manifold.euclidean(3), np.ones((1, 2)))
+        _, J = Differences(scheme, 1e-2).jacobian(
+            cubic, LINE, Manifold.euclidean(3), np.ones((1, 2))
+        )
         assert J[0, 0, 0] - 3 == pytest.approx(error, rel=1e-9)
 
 

@@ -60,7 +60,9 @@ def test_time_reaches_the_functions():
     x, u = np.ones((1, 2)), np.zeros((1, 0))
     np.testing.assert_allclose(model.transition(x, u, 2.0, 0.5), 21.5)
     np.testing.assert_allclose(model.measurement(x, u, 3.0), 3.0)
-    np.testing.assert_allclose(model.measurement_jacobian(x, u, 3.0)[1][0], 3 * np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(
+        model.measurement_jacobian(x, u, 3.0)[1][0], 3 * np.eye(2), atol=1e-9
+    )
 
 
 def test_a_constant_jacobian_is_for_every_run():

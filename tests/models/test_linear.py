@@ -62,7 +62,13 @@ def test_no_controls_by_default():
     np.testing.assert_allclose(model.measurement(x, np.zeros((3, 0)))[:, 0], x.sum(axis=1))
 
 
-GOOD = dict(A=np.eye(2), C=np.ones((1, 2)), Q=np.eye(2), R=np.eye(1), B=np.ones((2, 3)))
+GOOD = {
+    "A": np.eye(2),
+    "C": np.ones((1, 2)),
+    "Q": np.eye(2),
+    "R": np.eye(1),
+    "B": np.ones((2, 3)),
+}
 
 
 @pytest.mark.parametrize(
@@ -83,7 +89,8 @@ def test_a_matrix_of_another_shape_is_named(name, shape, expected):
 
 
 @pytest.mark.parametrize(
-    "R", [np.diag([1.0, 0.0]), np.diag([1.0, -1.0]), np.array([[1, 0.5], [0, 1]]), [[np.nan] * 2] * 2]
+    "R",
+    [np.diag([1.0, 0.0]), np.diag([1.0, -1.0]), np.array([[1, 0.5], [0, 1]]), [[np.nan] * 2] * 2],
 )
 def test_R_must_be_positive_definite(R):
     with pytest.raises(CovarianceError, match="R is not symmetric positive definite"):

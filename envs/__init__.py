@@ -1,0 +1,26 @@
+"""Gymnasium environments whose policy sees the estimate.
+
+Importing this registers `estbench/Pendulum-v0`, `CartPole-v0`, `Acrobot-v0`, `Quadrotor-v0` and
+`estbench/Scenario-v0`; from elsewhere, `gym.make("estbench.envs:estbench/CartPole-v0")`.
+"""
+
+from gymnasium.envs.registration import register, registry
+
+from estbench.envs.errors import EnvError
+
+__all__ = ["EnvError"]
+
+for _name, _scenario in {
+    "Pendulum": "pendulum",
+    "CartPole": "cartpole",
+    "Acrobot": "acrobot",
+    "Quadrotor": "quadrotor",
+    "Scenario": None,
+}.items():
+    if f"estbench/{_name}-v0" not in registry:
+        register(
+            f"estbench/{_name}-v0",
+            entry_point="estbench.envs.native:ScenarioEnv",
+            vector_entry_point="estbench.envs.vector:ScenarioVectorEnv",
+            kwargs={} if _scenario is None else {"scenario": _scenario},
+        )

@@ -1,0 +1,79 @@
+"""From a policy's action to the controls of the actuators, and the checks on the way."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from estbench.envs.errors import EnvError
+from estbench.envs.features import LIMIT
+from estbench.models.layout import actuator_names
+
+Array = NDArray[np.float64]
+
+
+class Actions:
+    """u = centre + scale · action.
+
+    Args:
+        model: compiled MuJoCo model.
+        normalize: whether an actuator's ctrlrange is scaled to [-1, 1]; one without a ctrlrange is
+            always taken in its own unit.
+
+    Attributes:
+        space: of one row's action `(nu,)`, float32.
+    """
+
+    def __init__(self, model: mujoco.MjModel, normalize: bool = True):
+        limited = model.actuator_ctrllimited.astype(bool)
+        low = np.where(limited, model.actuator_ctrlrange[:, 0], -LIMIT)
+        high = np.where(limited, model.actuator_ctrlrange[:, 1], LIMIT)
+        scaled = limited & normalize
+        self._centre = np.where(scaled, 0.5 * (low + high), 0.0)
+        self._scale = np.where(scaled, 0.5 * (high - low), 1.0)
+        self._names = actuator_names(model)
+        self.space = spaces.Box(
+            np.where(scaled, -1.0, low).astype(np.float32),
+            np.where(scaled, 1.0, high).astype(np.float32),
+            dtype=np.float32,
+        )
+
+    def controls(self, actions: Array, rows: int) -> Array:
+        """Controls `(row, nu)` of actions `(row, nu)` in the space.
+
+        Raises:
+            EnvError: another shape, or a value outside the space.
+        """
+        values = np.asarray(actions, np.float64)
+        check(values, self.space, (rows, len(self._names)), self._names)
+        return self._centre + self._scale * values
+
+    def actions(self, controls: Array) -> NDArray[np.float32]:
+        """The actions `(..., nu)` that give these controls `(..., nu)`, clipped to the space."""
+        values = (controls - self._centre) / self._scale
+        return np.clip(values, self.space.low, self.space.high).astype(np.float32)
+
+
+def check(
+    values: Array, space: spaces.Box, shape: tuple[int, ...], names: Sequence[str] = ()
+) -> None:
+    """Raise unless an action is of a shape and inside the bounds (to float32 rounding).
+
+    Raises:
+        EnvError: it is not.
+    """
+    if values.shape != shape:
+        raise EnvError(f"action has shape {values.shape}; expected {shape}")
+    slack = 1e-6 * np.maximum(1.0, np.abs(values))
+    inside = (values >= space.low - slack) & (values <= space.high + slack)
+    if not inside.all():
+        where = tuple(int(i) for i in np.argwhere(~inside)[0])
+        i = where[-1]
+        name = f" ({names[i]})" if len(names) > i else ""
+        raise EnvError(
+            f"action{list(where)}{name} is {values[where]:g}; expected a value in "
+            f"[{space.low[i]:g}, {space.high[i]:g}]; clip it, for example with "
+            "gymnasium.wrappers.ClipAction"
+        )

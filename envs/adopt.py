@@ -1,0 +1,206 @@
+"""A Gymnasium environment's MuJoCo model as a filter may use it: a copy, with sensors added to it."""
+
+import copy
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from estbench import sensors as channels_of
+from estbench.envs import sensors as kits
+from estbench.envs.errors import EnvError
+from estbench.errors import ScenarioError, did_you_mean
+from estbench.models import mjcf
+from estbench.models.layout import object_name
+from estbench.scenario import ChannelSection
+from estbench.sensors import Channel
+
+# MuJoCo attaches these to a site only.
+_AT_SITES = (
+    "gyro", "accelerometer", "velocimeter", "magnetometer", "force", "torque", "touch", "rangefinder",
+)  # fmt: skip
+# Integer fields that a program may set on a compiled model; the rest are addresses and counts.
+_SETTINGS = re.compile(r"(contype|conaffinity|condim|priority|limited|gravcomp|active0)$")
+
+
+@dataclass(frozen=True, eq=False)
+class Adopted:
+    """An environment's model with sensors.
+
+    Attributes:
+        model: a copy that holds the sensors, with estbench's flags (see `models.mjcf`).
+        channels: sensors in use.
+        quiet: channels whose true reading has no noise.
+        notices: what was assumed.
+    """
+
+    model: mujoco.MjModel
+    channels: tuple[Channel, ...]
+    quiet: frozenset[str]
+    notices: tuple[str, ...]
+
+
+def mujoco_parts(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """`model` and `data` of an environment.
+
+    Raises:
+        EnvError: it has none.
+    """
+    base = env.unwrapped
+    model, data = getattr(base, "model", None), getattr(base, "data", None)
+    if not isinstance(model, mujoco.MjModel) or not isinstance(data, mujoco.MjData):
+        raise EnvError(
+            f"{type(base).__name__} is not a MuJoCo environment: its unwrapped needs a `model` "
+            "(mujoco.MjModel) and a `data` (mujoco.MjData); for a robot of your own use "
+            "gym.make('estbench/Scenario-v0', scenario='robot.toml')"
+        )
+    if not model.nv:
+        raise EnvError(f"{type(base).__name__}: its model has no joint, so there is no state")
+    return model, data
+
+
+def adopt(
+    env: Any,
+    sensors: str | Path | Sequence[str] | Mapping[str, Any] | None,
+    xml: str | Path | None,
+    frame_skip: int,
+) -> Adopted:
+    """The environment's model with the sensors asked for; the environment is not changed.
+
+    Args:
+        env: a MuJoCo environment.
+        sensors: see `estbench.envs.sensors.sections`.
+        xml: MJCF file of the model; default the environment's own `fullpath`. It is needed only
+            to add sensors.
+        frame_skip: physics steps of a step.
+
+    Raises:
+        EnvError: sensors are to be added, but there is no MJCF, or it is not of this model.
+        ScenarioError: a sensor names nothing in the model, or a setting is wrong.
+    """
+    model, _ = mujoco_parts(env)
+    sections, use, notices = kits.sections(sensors, model)
+    # The environment is exact about its sensors, but R must be positive definite: a channel
+    # declared without noise is read without noise, and trusted as much as a usual one.
+    quiet = frozenset(name for name, s in sections.items() if s.noise == 0.0)
+    sections = {
+        name: s.model_copy(update={"noise": None}) if name in quiet else s
+        for name, s in sections.items()
+    }
+    added = {name: s.add for name, s in sections.items() if s.add is not None}
+    copied = _with_sensors(model, added, _file(env, xml)) if added else _bare_copy(model)
+    channels, assumed = channels_of.build(copied, sections, use, frame_skip)
+    for channel in channels:
+        if channel.period % frame_skip:
+            step = frame_skip * model.opt.timestep
+            raise ScenarioError(
+                f"sensors.{channel.name}.rate: a reading every {channel.period} physics steps falls "
+                f"inside a step of the environment ({frame_skip}); use a rate of "
+                f"{1 / step:g} Hz over a whole number"
+            )
+    return Adopted(copied, tuple(channels), quiet, (*notices, *assumed))
+
+
+def _file(env: Any, xml: str | Path | None) -> str:
+    path = xml if xml is not None else getattr(env.unwrapped, "fullpath", None)
+    if path is None:
+        raise EnvError(
+            f"{type(env.unwrapped).__name__} does not say which MJCF it was made from, so no sensor "
+            "can be added; pass xml='path/to/model.xml', or use sensors that the model declares"
+        )
+    return str(path)
+
+
+def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) -> mujoco.MjModel:
+    """Compile the MJCF with sensors, then give it every parameter of the environment's model."""
+    entries = {name: _at_site(add) for name, add in added.items()}
+    _check_objects(model, added)
+    spec = mjcf.read(path, entries)
+    for element in (*spec.joints, *spec.bodies):
+        element.name = element.name or _given_name(model, element, path)
+    for site, body in {
+        (e.object, a.object) for e, a in zip(entries.values(), added.values()) if e is not a
+    }:
+        spec.body(body).add_site(name=site)
+    compiled = mjcf.compile_model(spec, where="sensors")
+    for size in ("nq", "nv", "na", "nu", "nbody", "ngeom", "njnt"):
+        if getattr(compiled, size) != getattr(model, size):
+            raise EnvError(
+                f"{path} has {size} = {getattr(compiled, size)} and the environment's model "
+                f"{getattr(model, size)}: the environment changed its MJCF; pass the changed one as "
+                "xml=..., or declare the sensors in it"
+            )
+    _copy_parameters(model, compiled)
+    return compiled
+
+
+def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy with estbench's flags, its sensors without delay and interval."""
+    out = copy.copy(model)
+    if model.nu and (np.asarray(model.actuator_history)[:, 0] > 0).any():
+        raise ScenarioError(
+            "an actuator has nsample > 0: its delay is a hidden state that no estimator sees"
+        )
+    if model.nsensor:
+        out.sensor_history[:], out.sensor_delay[:], out.sensor_interval[:] = 0, 0.0, 0.0
+    _set_flags(out)
+    return out
+
+
+def _set_flags(model: mujoco.MjModel) -> None:
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= (
+        flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
+    )
+
+
+def _copy_parameters(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
+    """Every number that may have been set on the compiled model: masses, gains, options, ..."""
+    for name in dir(source):
+        value = getattr(source, name) if not name.startswith("_") else None
+        if not isinstance(value, np.ndarray) or name.startswith(("sensor_", "site_", "name_")):
+            continue
+        there = getattr(target, name)
+        if there.shape == value.shape and (value.dtype.kind == "f" or _SETTINGS.search(name)):
+            there[...] = value
+    for name in dir(source.opt):
+        if not name.startswith("_"):
+            value = getattr(source.opt, name)
+            if isinstance(value, np.ndarray):
+                getattr(target.opt, name)[...] = value
+            elif not callable(value):
+                setattr(target.opt, name, value)
+    _set_flags(target)
+
+
+def _at_site(add: Any) -> Any:
+    """A sensor that needs a site, asked for at a body: at a site to be made at its origin."""
+    if add.type in _AT_SITES and add.object_type in ("body", "xbody"):
+        return add.model_copy(
+            update={"object": f"estbench:{add.object}", "object_type": "site"}
+        )
+    return add
+
+
+def _check_objects(model: mujoco.MjModel, added: Mapping[str, ChannelSection | Any]) -> None:
+    for name, add in added.items():
+        for kind in ("joint", "body", "site", "geom"):
+            wanted = add.object_type or ("joint" if add.type.startswith("joint") else "site")
+            if wanted.removeprefix("x") != kind:
+                continue
+            count = {"joint": model.njnt, "body": model.nbody, "site": model.nsite,
+                     "geom": model.ngeom}[kind]  # fmt: skip
+            enum = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+            names = [object_name(model, enum, i, kind) for i in range(count)]
+            if add.object not in names:
+                hint = did_you_mean(add.object, names)
+                raise ScenarioError(f"sensors.{name}: the model has no {kind} '{add.object}'{hint}")
+
+
+def _given_name(model: mujoco.MjModel, element: Any, path: str) -> str:
+    """The name that estbench gives to an element without one."""
+    raise NotImplementedError

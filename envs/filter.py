@@ -1,0 +1,214 @@
+"""One estimator on many robots, of which any may start anew: the filter bank of all environments."""
+
+import dataclasses
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstbenchError, EstimatorError
+from estbench.estimators.base import Estimator
+from estbench.linalg import quadratic_form
+from estbench.manifold import Manifold
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class FilterBank:
+    """The beliefs of `rows` robots, and what became of them in the last step.
+
+    Args:
+        estimator: any object of the estimators' protocol.
+        space: the state space.
+        slots: channel -> where its innovation stands, in the tangent of all channels.
+        rows: how many robots.
+        threshold: a row has diverged while NEES/n is above this.
+
+    Attributes:
+        belief: the estimator's belief of all rows.
+        estimate: x̂ `(row, nx)`; a row that failed keeps its last finite one.
+        cov: P `(row, n, n)`, likewise.
+        failed: rows whose filter broke down, until they start anew `(row,)`.
+        innovation: ν of each channel's last reading in this step `(row, m)`, 0 where none came.
+        nis: νᵀ S⁻¹ ν, summed over the updates of this step `(row,)`.
+        dof: how many components arrived in this step `(row,)`.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        space: Manifold,
+        slots: Mapping[str, slice],
+        rows: int,
+        threshold: float = 1000.0,
+    ):
+        self.estimator, self.space, self.rows = estimator, space, rows
+        self._slots, self._threshold = dict(slots), threshold
+        self._takes_keys = "keys" in inspect.signature(estimator.init).parameters
+        self._label = type(estimator).__name__
+        self._width = max((s.stop for s in slots.values()), default=0)
+        self.belief: Any = None
+        self.estimate = np.zeros((rows, space.nx))
+        self.cov = np.zeros((rows, space.n, space.n))
+        self.failed = np.zeros(rows, bool)
+        self._clear()
+
+    def reset(
+        self, mask: Mask, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
+    ) -> None:
+        """Start the rows of a mask anew; the others go on.
+
+        Args:
+            mask: `(row,)`.
+            mean: x̂₀ of every row `(row, nx)`; only those of the mask are used.
+            cov: P₀ `(row, n, n)` likewise.
+            keys: random keys `(row,)` for estimators that draw random numbers.
+        """
+        arguments = {"keys": keys} if self._takes_keys and keys is not None else {}
+        fresh = self._guard("init", lambda: self.estimator.init(mean, cov, **arguments))
+        self._merge(mask, fresh)
+        self.estimate[mask], self.cov[mask], self.failed[mask] = mean[mask], cov[mask], False
+        self._clear()
+
+    def predict(self, u: Array, t: float, dt: float, mask: Mask | None = None) -> None:
+        """Every row, or those of a mask, from t to t + dt (s) under u `(row, nu)`."""
+        moved = self._guard("predict", lambda: self.estimator.predict(self.belief, u, t, dt))
+        self._merge(mask, moved)
+
+    def update(
+        self,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Sequence[str],
+        arrived: Mask | None = None,
+    ) -> None:
+        """Condition on y `(row, ny)` of the channels at t (s).
+
+        Args:
+            y: readings in the order of the channels; rows where nothing arrived are not looked at.
+            u: control `(row, nu)`.
+            t: s.
+            channels: names.
+            arrived: components that arrived `(row, m)`; None is all.
+        """
+        self.belief, seen = self._guard(
+            "update", lambda: self.estimator.update(self.belief, y, u, t, channels, arrived)
+        )
+        start = 0
+        for name in channels:
+            slot = self._slots[name]
+            part = slice(start, start + slot.stop - slot.start)
+            ν = seen.residual[:, part]
+            if arrived is not None:
+                ν = np.where(arrived[:, part], ν, self.innovation[:, slot])
+            self.innovation[:, slot] = ν
+            start = part.stop
+        self.nis += seen.nis
+        self.dof += seen.dof
+
+    def begin(self) -> None:
+        """Forget the innovations of the last step."""
+        self._clear()
+
+    def settle(self) -> None:
+        """Take mean and covariance from the belief after the updates of a step."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            mean, cov = self.estimator.mean(self.belief), self.estimator.cov(self.belief)
+        if np.isfinite(mean.sum() + cov.sum()) and not self.failed.any():
+            self.estimate, self.cov = np.array(mean), np.array(cov)
+            return
+        good = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-2, -1)) & ~self.failed
+        self.estimate = np.where(good[:, None], mean, self.estimate)
+        self.cov = np.where(good[:, None, None], cov, self.cov)
+        self.failed = ~good
+
+    def info(self, truth: Array) -> dict[str, Any]:
+        """What a step's `info` says of every row, all of it copies, each with a leading row axis.
+
+        Args:
+            truth: x `(row, nx)`.
+
+        Returns:
+            truth, estimate `(row, nx)`; error x ⊖ x̂ `(row, n)`; nees `(row,)`, inf where P is
+            singular or the filter has failed; innovation `(row, m)`; nis and nis_dof `(row,)`;
+            diverged `(row,)`: the filter has failed, or NEES/n is above the threshold.
+        """
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            error = self.space.minus(truth, self.estimate)
+            nees = quadratic_form(self.cov, error)
+        if not np.isfinite(nees.sum()) or self.failed.any():
+            nees[~np.isfinite(nees) | self.failed] = np.inf
+        far = np.isfinite(nees) & (nees > self._threshold * self.space.n)
+        return {
+            "truth": truth.copy(),
+            "estimate": self.estimate.copy(),
+            "error": error,
+            "nees": nees,
+            "nis": np.nan_to_num(self.nis, nan=np.inf),
+            "nis_dof": self.dof.copy(),
+            "innovation": np.nan_to_num(self.innovation),
+            "diverged": self.failed | far,
+        }
+
+    def _clear(self) -> None:
+        self.innovation = np.zeros((self.rows, self._width))
+        self.nis, self.dof = np.zeros(self.rows), np.zeros(self.rows, np.int64)
+
+    def _merge(self, mask: Mask | None, new: Any) -> None:
+        if self.belief is not None and mask is not None and not mask.all():
+            new = select(mask, new, self.belief, f"estimator {self._label}: the belief")
+        self.belief = new
+
+    def _guard(self, verb: str, call: Any) -> Any:
+        try:
+            with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+                return call()
+        except EstbenchError:
+            raise
+        except Exception as error:  # a user's estimator may raise anything
+            raise EstimatorError(
+                f"{self._label}.{verb} raised {type(error).__name__}: {error}"
+            ) from error
+
+
+def select(mask: Mask, new: Any, old: Any, what: str = "belief") -> Any:
+    """`new` in the rows of a mask and `old` in the others, for a belief of any make.
+
+    Arrays with a leading row axis are mixed; dataclasses, tuples and mappings part by part. What
+    only one of them has (a Jacobian or points kept from the last step) is dropped, as the
+    estimators make such things anew.
+
+    Raises:
+        EstimatorError: a part is neither a row's own nor the same in both.
+    """
+    if new is old:
+        return old
+    if new is None or old is None:
+        return None
+    if isinstance(new, np.ndarray) and isinstance(old, np.ndarray):
+        if new.shape == old.shape and new.shape[:1] == mask.shape:
+            return np.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+        if np.array_equal(new, old):
+            return old
+    elif dataclasses.is_dataclass(new) and type(new) is type(old):
+        parts = {
+            f.name: select(mask, getattr(new, f.name), getattr(old, f.name), f"{what}.{f.name}")
+            for f in dataclasses.fields(new)
+            if f.init
+        }
+        return dataclasses.replace(old, **parts)
+    elif isinstance(new, Mapping) and isinstance(old, Mapping):
+        return {k: select(mask, new[k], old[k], f"{what}.{k}") for k in new if k in old}
+    elif isinstance(new, tuple | list) and type(new) is type(old) and len(new) == len(old):
+        parts = [select(mask, a, b, f"{what}[{i}]") for i, (a, b) in enumerate(zip(new, old))]
+        return type(new)(*parts) if hasattr(new, "_fields") else type(new)(parts)
+    elif type(new) is type(old) and new == old:
+        return old
+    raise EstimatorError(
+        f"{what} ({type(old).__name__}) is not kept row by row, so one row cannot start anew; use "
+        "arrays whose first axis is the run, in a dataclass, tuple or dict"
+    )

@@ -1,0 +1,127 @@
+"""The native environment: one robot of a scenario, seen through its filter."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.envs.actions import Actions
+from estbench.envs.errors import EnvError
+from estbench.envs.features import features
+from estbench.envs.keys import draw_key
+from estbench.envs.rendering import GhostRenderer
+from estbench.envs.world import World, prepare
+from estbench.scenario import Scenario
+
+Array = NDArray[np.float64]
+ONE = np.ones(1, bool)
+
+
+class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
+    """A scenario as a Gymnasium environment: `gym.make("estbench/CartPole-v0")` and its kin.
+
+    The initial state, the disturbance and the sensors are the scenario's; reward, end and horizon
+    are its `[task]`'s. An action in [-1, 1] spans the actuator's ctrlrange.
+
+    Args:
+        scenario: bundled name, TOML or MJCF path, or a `Scenario`.
+        estimator: a label of the scenario, a name, `package.module:Name`, a table of settings with
+            `type`, or None for no filter (then `observe` is `raw` or `truth`).
+        observe: `state`, `belief`, `covariance`, `raw` or `truth`; see `estbench.envs.features`.
+        sensors: channels in use; default the scenario's.
+        overrides: `section.key=value` strings, as on the command line.
+        normalize_actions: whether actions are in [-1, 1] rather than in the actuators' units.
+        render_mode: `rgb_array`, `human` or None.
+        width, height: of the picture, pixels.
+        camera: name or number of a camera; default the model's first.
+        ghost: whether the estimate is drawn beside the truth.
+
+    Raises:
+        EstbenchError: anything that does not fit; the message names the remedy.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario | None = None,
+        estimator: str | Mapping[str, Any] | None = "ekf",
+        observe: str = "state",
+        sensors: Sequence[str] | None = None,
+        overrides: Sequence[str] = (),
+        normalize_actions: bool = True,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+        camera: str | int | None = None,
+        ghost: bool = True,
+    ):
+        prepared = prepare(scenario, estimator, sensors, overrides)
+        self.world = World(prepared, 1, estimator is not None)
+        self._actions = Actions(prepared.plant.model, normalize_actions)
+        self.action_space = self._actions.space
+        self.observation_space, self._observe = features(observe, self.world.observer)
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / prepared.plant.period))}
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise EnvError(f"render_mode is '{render_mode}'; use 'rgb_array', 'human' or None")
+        self.render_mode = render_mode
+        self._renderer = GhostRenderer(prepared.plant.model, width, height, camera)
+        self._ghost = ghost and estimator is not None
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start an episode; `options` is not used.
+
+        Returns:
+            The observation `(k,)` and the info of `estbench.envs.filter.FilterBank.info`.
+        """
+        super().reset(seed=seed)
+        self.world.reset(ONE, np.array([draw_key(self.np_random)]))
+        self._running = True
+        if self.render_mode == "human":
+            self.render()
+        return self._seen()
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """One control period under an action `(nu,)`.
+
+        Raises:
+            EnvError: the action is outside the space, or the episode is over.
+        """
+        if not self._running:
+            raise EnvError("step() after the end of an episode, or before the first; call reset()")
+        u = self._actions.controls(np.asarray(action)[None], 1)
+        reward, ended, late = self.world.step(u)
+        self._running = not (ended[0] or late[0])
+        if self.render_mode == "human":
+            self.render()
+        observation, info = self._seen()
+        return observation, float(reward[0]), bool(ended[0]), bool(late[0]), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The picture `(height, width, 3)` in mode `rgb_array`; a window in mode `human`."""
+        if self.render_mode is None:
+            return None
+        bank = self.world.observer.bank
+        belief = (bank.estimate[0], bank.cov[0]) if self._ghost and bank is not None else None
+        return self._renderer.render(self.render_mode, self.world.truth.x[0], belief)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
+    def _seen(self) -> tuple[Array, dict[str, Any]]:
+        x = self.world.truth.x
+        return self._observe(x)[0].copy(), first(self.world.observer.info(x))
+
+
+def first(info: dict[str, Any]) -> dict[str, Any]:
+    """The info of the first row: arrays lose their row axis, numbers become Python's."""
+    return {k: v[0].item() if v.ndim == 1 else v[0].copy() for k, v in info.items()}

@@ -1,0 +1,85 @@
+"""What is known of many robots: sensors and, if there is one, the filter bank that reads them."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.envs.filter import FilterBank
+from estbench.envs.keys import Keys, Mask
+from estbench.envs.readings import Readings
+from estbench.models import mjcf
+
+Array = NDArray[np.float64]
+
+
+class Observer:
+    """Follows true states with sensors and a filter bank.
+
+    Args:
+        model: the robot as its sensors see it.
+        readings: its sensors.
+        bank: the filters, or None for raw readings only.
+
+    Attributes:
+        t: time of the last states, s, since the reset of the row that has run longest.
+    """
+
+    def __init__(self, model: mujoco.MjModel, readings: Readings, bank: FilterBank | None):
+        self.model, self.readings, self.bank = model, readings, bank
+        self._timestep = float(model.opt.timestep)
+
+    @property
+    def t(self) -> float:
+        """Time since the reset of the row that has run longest, s."""
+        return int(self.readings.tick.max()) * self._timestep
+
+    def reset(
+        self, mask: Mask, keys: Keys, x: Array, u: Array, mean: Array, cov: Array
+    ) -> None:
+        """Start the rows of a mask anew.
+
+        Args:
+            mask: `(row,)`.
+            keys: random keys of these rows `(mask.sum(),)`.
+            x: true states of all rows `(row, nx)`.
+            u: controls `(row, nu)`.
+            mean, cov: the prior of all rows `(row, nx)`, `(row, n, n)`.
+        """
+        self.readings.start(mask, keys, x, mjcf.clamp(self.model, u))
+        if self.bank is not None:
+            every = np.zeros(len(mask), np.uint64)
+            every[mask] = keys
+            self.bank.reset(mask, mean, cov, every)
+
+    def begin(self) -> None:
+        """A new step of the environment begins."""
+        if self.bank is not None:
+            self.bank.begin()
+
+    def advance(self, steps: int, x: Array, u: Array, mask: Mask | None = None) -> None:
+        """Physics steps have passed under the controls u, up to the true states x.
+
+        Args:
+            steps: physics steps.
+            x: `(row, nx)`.
+            u: `(row, nu)`.
+            mask: rows for which time passes; None is all.
+        """
+        began = self.t
+        u = mjcf.clamp(self.model, u)
+        if self.bank is not None:
+            self.bank.predict(u, began, steps * self._timestep, mask)
+        reading = self.readings.take(steps, x, u, began + steps * self._timestep, mask)
+        if self.bank is not None and reading is not None:
+            self.bank.update(reading.y, u, self.t, reading.channels, reading.arrived)
+
+    def settle(self) -> None:
+        """The step of the environment is over."""
+        if self.bank is not None:
+            self.bank.settle()
+
+    def info(self, x: Array) -> dict[str, Any]:
+        """What `info` says of every row: see `FilterBank.info`; without a filter, the truth."""
+        return {"truth": x.copy()} if self.bank is None else self.bank.info(x)

@@ -1,0 +1,91 @@
+"""What a policy is asked to do: reward, end and horizon from the scenario's `[task]`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.controllers import Plant
+from estbench.errors import CovarianceError
+from estbench.models import mjcf
+from estbench.models.layout import actuator_names
+from estbench.naming import expand
+from estbench.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """reward = alive - Σ wᵢ eᵢ² - Σ rⱼ ũⱼ², with e = x ⊖ goal and ũ = u - u₀, once a step.
+
+    Attributes:
+        plant: the nominal robot, with keyframe x₀, u₀.
+        goal: `(nx,)`.
+        state_weight: w `(n,)`, 1/unit².
+        control_weight: r `(nu,)`, 1/unit².
+        alive: reward of a step that stays within the bounds.
+        bounds: largest |eᵢ| `(n,)`, inf where there is none.
+        steps: the horizon in steps of the environment.
+    """
+
+    plant: Plant
+    goal: Array
+    state_weight: Array
+    control_weight: Array
+    alive: float
+    bounds: Array
+    steps: int
+
+    @classmethod
+    def build(cls, scenario: Scenario, plant: Plant) -> "Task":
+        """From a scenario.
+
+        Raises:
+            ScenarioError: a pattern of `[task]` matches no coordinate.
+            DimensionError: a list of another length.
+            CovarianceError: a weight is negative.
+        """
+        section, names = scenario.task, plant.space.names
+        target = expand(section.target, names, "task.target")
+        weights = {
+            "state_weight": expand(section.state_weight, names, "task.state_weight"),
+            "control_weight": expand(
+                section.control_weight, actuator_names(plant.model), "task.control_weight"
+            ),
+        }
+        for name, weight in weights.items():
+            if weight.size and weight.min() < 0:
+                raise CovarianceError(
+                    f"task.{name} is {weight.min():g}; a cost needs weights of at least 0"
+                )
+        horizon = section.horizon or scenario.simulation.duration
+        return cls(
+            plant=plant,
+            goal=plant.space.plus(plant.x0, target),
+            alive=section.alive,
+            bounds=expand(section.bounds, names, "task.bounds", np.inf),
+            steps=max(1, round(horizon / plant.period)),
+            **weights,
+        )
+
+    def cost(self, x: Array, u: Array) -> Array:
+        """Σ wᵢ eᵢ² + Σ rⱼ ũⱼ² `(row,)` of states `(row, nx)` and applied controls `(row, nu)`."""
+        e = self.plant.space.minus(x, self.goal)
+        effort = mjcf.clamp(self.plant.model, u) - self.plant.u0
+        return (self.state_weight * e * e).sum(axis=-1) + (
+            self.control_weight * effort * effort
+        ).sum(axis=-1)
+
+    def outside(self, x: Array) -> NDArray[np.bool_]:
+        """Rows whose state is out of bounds or not finite `(row,)`."""
+        return ~(np.abs(self.plant.space.minus(x, self.goal)) <= self.bounds).all(axis=-1)
+
+    def reward(self, x: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Reward and whether the episode ends there `(row,)`.
+
+        A state that MuJoCo could not compute costs nothing and earns nothing.
+        """
+        out = self.outside(x)
+        reward = np.where(out, 0.0, self.alive) - self.cost(x, u)
+        return (np.nan_to_num(reward) if out.any() else reward), out

@@ -1,0 +1,126 @@
+"""Filters that estimate sensor biases and unknown inputs along with the state (source 002)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstimatorError, ScenarioError
+from estbench.estimators import registry
+from estbench.estimators.base import Estimator, Innovation
+from estbench.estimators.schmidt import SchmidtEKF
+from estbench.models.base import Channels, Model
+from estbench.models.wrappers import Augmented
+
+Array = NDArray[np.float64]
+PerName = float | Sequence[float] | dict[str, float]
+
+
+@dataclass(frozen=True)
+class BiasFilter:
+    """A Gaussian filter on the model augmented with biases; the answer is the original state's.
+
+    Each quantity is a number for all, a list, or {pattern: number} over the measurement coordinates
+    (`inputs`: over the controls `u0`, `u1`, ...); what has no positive std gets no bias, and
+    without any bias the filter is the base filter. See `estbench.models.wrappers.Augmented`.
+
+    Cost per step: the base filter's with one more state a bias. Choose it where persistent biases
+    are observable; tuning Q does not replace it.
+
+    Attributes:
+        model: the model without biases.
+        bias: std of the biases at the start, in the measurement's unit.
+        walk: random walk of the biases, unit per √s.
+        time_constant: s, of Gauss-Markov biases; 0 for constants and random walks.
+        inputs: std of unknown additions to the controls at the start.
+        input_walk: their random walk.
+        settings: settings of the base filter.
+    """
+
+    model: Model
+    bias: PerName = 0.0
+    walk: PerName = 0.0
+    time_constant: PerName = 0.0
+    inputs: PerName = 0.0
+    input_walk: PerName = 0.0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    base: ClassVar[str] = "ekf"
+    _augmented: Augmented = field(init=False, repr=False)
+    _filter: Estimator = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        try:
+            augmented = Augmented.build(
+                self.model, self.bias, self.walk, self.time_constant, self.inputs, self.input_walk
+            )
+            filter = self._build(augmented)
+        except ScenarioError as error:
+            raise EstimatorError(f"{type(self).__name__}: {error}") from None
+        object.__setattr__(self, "_augmented", augmented)
+        object.__setattr__(self, "_filter", filter)
+
+    def init(self, mean: Array, cov: Array) -> Any:
+        """Start from mean `(run, nx)` and cov `(run, n, n)`, with zero biases."""
+        return self._filter.init(*self._augmented.augment(mean, cov))
+
+    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+        """The base filter's prediction."""
+        return self._filter.predict(belief, u, t, dt)
+
+    def update(
+        self,
+        belief: Any,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Any, Innovation]:
+        """The base filter's update."""
+        return self._filter.update(belief, y, u, t, channels, mask)
+
+    def mean(self, belief: Any) -> Array:
+        """x̂ `(run, nx)` without the biases."""
+        return self._filter.mean(belief)[:, : self.model.space.nx]
+
+    def cov(self, belief: Any) -> Array:
+        """P `(run, n, n)` without the biases."""
+        n = self.model.space.n
+        return self._filter.cov(belief)[:, :n, :n]
+
+    def biases(self, belief: Any) -> dict[str, tuple[Array, Array]]:
+        """Name -> estimate and standard deviation `(run,)` of each bias and unknown input."""
+        names = self._augmented.space.names[self.model.space.n :]
+        mean = self._filter.mean(belief)[:, self.model.space.nx :]
+        variance = np.diagonal(self._filter.cov(belief), axis1=-2, axis2=-1)
+        std = np.sqrt(variance[:, self.model.space.n :])
+        return {name: (mean[:, i], std[:, i]) for i, name in enumerate(names)}
+
+    def _build(self, augmented: Augmented) -> Estimator:
+        return registry.create(self.base, self.settings, augmented)
+
+
+@dataclass(frozen=True)
+class BiasEKF(BiasFilter):
+    """The EKF with biases, of which some may be considered only (see `SchmidtEKF`).
+
+    Attributes:
+        considered: patterns of coordinates that are not estimated, e.g. `bias.*`.
+    """
+
+    considered: Sequence[str] = ()
+
+    def _build(self, augmented: Augmented) -> Estimator:
+        if not self.considered:
+            return super()._build(augmented)
+        name = f"{SchmidtEKF.__module__}:{SchmidtEKF.__name__}"
+        return registry.create(name, {**self.settings, "considered": self.considered}, augmented)
+
+
+@dataclass(frozen=True)
+class BiasUKF(BiasFilter):
+    """The UKF with biases; `settings` may hold alpha, beta, kappa, redraw."""
+
+    base: ClassVar[str] = "ukf"

@@ -1,0 +1,46 @@
+"""Gauss-Hermite Kalman filter (Ito & Xiong, IEEE Trans. Automatic Control 45(5), 2000)."""
+
+from dataclasses import dataclass
+
+from estbench.errors import EstimatorError
+from estbench.estimators.settings import in_range, switch
+from estbench.estimators.sigma_points import gauss_hermite
+from estbench.estimators.ukf import SigmaPointFilter
+
+MOST_POINTS = 5000
+
+
+@dataclass(frozen=True)
+class GHKF(SigmaPointFilter):
+    """Gaussian filter by a product Gauss-Hermite rule, the reference for small n.
+
+    Every Gaussian expectation in x̂⁻, P⁻, ŷ, S, Pxy is a sum over orderⁿ points, exact where the
+    integrand is a polynomial of degree 2 order - 1 in each coordinate (Ito & Xiong 2000).
+
+    Cost per step: orderⁿ transitions and orderⁿ measurements. Choose it to learn how much of
+    another filter's error comes from its rule rather than from the Gaussian assumption.
+
+    Attributes:
+        model: the filter's model.
+        redraw: as in `SigmaPointFilter`.
+        order: points a dimension, at least 2.
+
+    Raises:
+        EstimatorError: orderⁿ is above 5000.
+    """
+
+    order: int = 3
+
+    def __post_init__(self) -> None:
+        switch(self, "redraw")
+        in_range(self, "order", 2, 100)
+        if not isinstance(self.order, int):
+            raise EstimatorError(f"GHKF: order is {self.order!r}; use a whole number")
+        n = self.model.space.n
+        if self.order**n > MOST_POINTS:
+            raise EstimatorError(
+                f"GHKF: order is {self.order} and the state has {n} dimensions, which takes "
+                f"{self.order}^{n} points (at most {MOST_POINTS}); lower the order or use the "
+                f"estimator 'ckf'"
+            )
+        object.__setattr__(self, "rule", gauss_hermite(n, self.order))

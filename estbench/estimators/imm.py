@@ -1,0 +1,229 @@
+"""Interacting multiple model filter (Bar-Shalom, Li & Kirubarajan 2001, sec. 11.6.6)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError, EstimatorError
+from estbench.estimators import registry
+from estbench.estimators.base import Estimator, Fault, Innovation
+from estbench.estimators.settings import in_range
+from estbench.linalg import cholesky, solve_lower, symmetrize
+from estbench.manifold import Manifold
+from estbench.models.base import Channels, Model
+from estbench.models.wrappers import ScaledNoise
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """A Gaussian a mode and the modes' probabilities.
+
+    Attributes:
+        beliefs: one belief of the base filter a mode.
+        probability: μ `(run, mode)`, NaN in a failed run.
+        fault: `Fault` `(run,)`; a run fails when all its modes have.
+    """
+
+    beliefs: tuple[Any, ...]
+    probability: Array
+    fault: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class IMM:
+    """A bank of Gaussian filters, one a model; the model in force is a Markov chain.
+
+    Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-6 to
+    -9), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The
+    answer is the moment-matched Gaussian (eq. 11.6.6-16, -17), all on the state's manifold.
+
+    Cost per step: that of the base filter times the count of modes. Choose it where the robot
+    behaves in a few distinct ways (a manoeuvre, a slipping wheel, a degraded actuator).
+
+    A mode that fails in a run gets probability zero and is started again by the next mixing.
+
+    Attributes:
+        model: the model, from which `process_noise_scales` makes one a mode.
+        models: the modes' models on the same state space, in place of scaled ones.
+        transition: probability of going from mode i to mode j at a prediction `(mode, mode)`; rows
+            sum to one. By default `switching` decides.
+        base: registered name (or `package.module:Name`) of the filter in each mode.
+        process_noise_scales: factors on Q, one a mode.
+        switching: probability of leaving a mode at a prediction, the others being equally likely.
+        settings: settings of the base filter.
+    """
+
+    model: Model
+    models: Sequence[Model] | None = None
+    transition: Sequence[Sequence[float]] | Array | None = None
+    base: str = "ekf"
+    process_noise_scales: Sequence[float] = (1.0, 100.0)
+    switching: float = 0.05
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    _filters: tuple[Estimator, ...] = field(init=False, repr=False)
+    _chain: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        in_range(self, "switching", 0.0, 1.0)
+        models = self.models
+        if models is None:
+            scales = np.atleast_1d(np.asarray(self.process_noise_scales))
+            if scales.ndim != 1 or scales.dtype.kind not in "fi" or not (scales > 0).all():
+                raise EstimatorError(
+                    f"IMM: process_noise_scales is {self.process_noise_scales!r}; use a list of "
+                    "positive numbers, one a mode"
+                )
+            models = [ScaledNoise(self.model, float(scale)) for scale in scales]
+        names = self.model.space.names
+        if not models or any(m.space.names != names for m in models):
+            raise EstimatorError(
+                f"IMM: models is a list of {len(models)}; use at least one, all of them with the "
+                f"state coordinates {', '.join(names)}"
+            )
+        filters = tuple(registry.create(self.base, self.settings, m) for m in models)
+        object.__setattr__(self, "_filters", filters)
+        object.__setattr__(self, "_chain", self._markov_chain(len(models)))
+
+    def init(self, mean: Array, cov: Array) -> Modes:
+        """Every mode starts from mean `(run, nx)` and cov `(run, n, n)`, all equally likely."""
+        count = len(self._filters)
+        beliefs = tuple(f.init(mean, cov) for f in self._filters)
+        probability = np.full((len(mean), count), 1.0 / count)
+        return self._settled(Modes(beliefs, probability, np.zeros(len(mean), np.uint8)))
+
+    def predict(self, belief: Modes, u: Array, t: float, dt: float) -> Modes:
+        """Mix the modes, then predict each by its model."""
+        means, covs = self._moments(belief)
+        joint = belief.probability[:, :, None] * self._chain  # P(was i, is j)
+        probability = joint.sum(axis=1)
+        reached = probability[:, None] > 0
+        share = np.where(reached, joint, belief.probability[:, :, None])
+        share = share / np.where(reached, probability[:, None], 1.0)
+        beliefs = []
+        for j, filter in enumerate(self._filters):
+            mixed = combine(self.model.space, means, covs, share[:, :, j])
+            beliefs.append(filter.predict(filter.init(*mixed), u, t, dt))
+        return self._settled(replace(belief, beliefs=tuple(beliefs), probability=probability))
+
+    def update(
+        self,
+        belief: Modes,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Modes, Innovation]:
+        """Update each mode, then weight it by its likelihood N(ν; 0, S).
+
+        The innovation is that of the mixture of the modes' predicted measurements, moment-matched.
+        """
+        results = [
+            filter.update(b, y, u, t, channels, mask)
+            for filter, b in zip(self._filters, belief.beliefs)
+        ]
+        innovations = [innovation for _, innovation in results]
+        likelihood = np.stack([log_likelihood(i) for i in innovations], axis=-1)
+        likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
+        peak = likelihood.max(axis=-1, keepdims=True)
+        weight = np.exp(likelihood - np.where(np.isfinite(peak), peak, 0.0))
+        posterior = replace(
+            belief,
+            beliefs=tuple(b for b, _ in results),
+            probability=belief.probability * weight,
+        )
+        prior = np.where(np.isfinite(likelihood), belief.probability, 0.0)
+        total = prior.sum(axis=-1, keepdims=True)
+        prior = np.where(total > 0, prior / np.where(total > 0, total, 1.0), np.nan)
+        return self._settled(posterior), _mixed_innovation(innovations, prior)
+
+    def mean(self, belief: Modes) -> Array:
+        """x̂ `(run, nx)`, the mean of the mixture."""
+        return combine(self.model.space, *self._moments(belief), belief.probability)[0]
+
+    def cov(self, belief: Modes) -> Array:
+        """P `(run, n, n)`, the covariance of the mixture."""
+        return combine(self.model.space, *self._moments(belief), belief.probability)[1]
+
+    def _moments(self, belief: Modes) -> tuple[Array, Array]:
+        """Means `(run, mode, nx)` and covariances `(run, mode, n, n)` of the modes."""
+        pairs = list(zip(self._filters, belief.beliefs))
+        return (
+            np.stack([filter.mean(b) for filter, b in pairs], axis=1),
+            np.stack([filter.cov(b) for filter, b in pairs], axis=1),
+        )
+
+    def _settled(self, belief: Modes) -> Modes:
+        """Probabilities normalized; failed modes at zero; runs without any mode marked."""
+        means, covs = self._moments(belief)
+        alive = np.isfinite(means).all(axis=-1) & np.isfinite(covs).all(axis=(-2, -1))
+        probability = np.where(alive, belief.probability, 0.0)
+        total = probability.sum(axis=-1, keepdims=True)
+        faults = [getattr(b, "fault", belief.fault) for b in belief.beliefs]
+        cause = np.max(faults, axis=0)
+        new = np.where(total[:, 0] > 0, 0, np.where(cause, cause, Fault.STATE))
+        code = np.where(belief.fault, belief.fault, new).astype(np.uint8)
+        # A sum within rounding of one is left alone: an update without data changes no bit.
+        scale = np.where((total > 0) & (np.abs(total - 1.0) > 1e-14), total, 1.0)
+        probability = np.where(code[:, None] > 0, np.nan, probability / scale)
+        return replace(belief, probability=probability, fault=code)
+
+    def _markov_chain(self, count: int) -> Array:
+        if self.transition is None:
+            leave = self.switching / (count - 1) if count > 1 else 0.0
+            return np.full((count, count), leave) + (1.0 - leave * count) * np.eye(count)
+        chain = np.asarray(self.transition, dtype=np.float64)
+        if chain.shape != (count, count):
+            raise DimensionError(
+                f"IMM: transition has shape {chain.shape}; use {(count, count)}, one row a mode"
+            )
+        if not ((chain >= 0).all() and np.allclose(chain.sum(axis=1), 1.0)):
+            raise EstimatorError(
+                f"IMM: transition is {chain.tolist()}; use probabilities, each row with sum 1"
+            )
+        return chain
+
+
+def combine(space: Manifold, means: Array, covs: Array, weight: Array) -> tuple[Array, Array]:
+    """Mean `(run, nx)` and covariance `(run, n, n)` of a Gaussian mixture on a manifold.
+
+    A component of weight zero counts for nothing, even if it is not finite.
+
+    Args:
+        space: the state's manifold.
+        means: `(run, mode, nx)`.
+        covs: `(run, mode, n, n)`, each in the tangent at its own mean.
+        weight: `(run, mode)`, of sum one; NaN gives NaN.
+    """
+    absent = weight == 0
+    heaviest = np.argmax(weight, axis=-1)[:, None, None]
+    means = np.where(absent[..., None], np.take_along_axis(means, heaviest, axis=1), means)
+    covs = np.where(absent[..., None, None], 0.0, covs)
+    mean = space.mean(means, weight)
+    mean = np.where(np.isnan(weight[:, :1]), np.nan, mean)
+    away = space.minus(means, mean[:, None])
+    carried = space.transport(covs, space.minus(mean[:, None], means))
+    spread = carried + away[..., :, None] * away[..., None, :]
+    return mean, symmetrize((weight[..., None, None] * spread).sum(axis=1))
+
+
+def log_likelihood(innovation: Innovation) -> Array:
+    """Log N(ν; 0, S) `(run,)`; what did not arrive has unit variance and counts for nothing."""
+    diagonal = np.diagonal(cholesky(innovation.cov), axis1=-2, axis2=-1)
+    constant = innovation.dof * np.log(2.0 * np.pi)
+    return -0.5 * (innovation.nis + constant) - np.log(diagonal).sum(axis=-1)
+
+
+def _mixed_innovation(innovations: Sequence[Innovation], weight: Array) -> Innovation:
+    """ν and S of the mixture of predicted measurements with the modes' prior probabilities."""
+    residuals = np.stack([i.residual for i in innovations], axis=1)
+    covs = np.stack([i.cov for i in innovations], axis=1)
+    residual, cov = combine(Manifold.euclidean(residuals.shape[-1]), residuals, covs, weight)
+    white = solve_lower(cholesky(cov), residual[..., None])[..., 0]
+    nis = np.einsum("ij,ij->i", white, white)
+    return Innovation(residual, cov, white, nis, innovations[0].dof)

@@ -1,0 +1,68 @@
+"""Schmidt-Kalman (consider) filter on an extended model (Jazwinski 1970, sec. 8.4)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.base import Gaussian, Innovation, correct, settle
+from estbench.estimators.ekf import EKF
+from estbench.linalg import symmetrize
+from estbench.models.base import Channels
+from estbench.naming import expand
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SchmidtEKF(EKF):
+    """The EKF with a gain of zero for the considered coordinates: uncertain, but not estimated.
+
+    The optimal gain K = P⁻ Hᵀ S⁻¹ keeps its rows for the estimated coordinates only; the covariance
+    is Joseph's with that gain, which holds for any gain, so the considered coordinates keep their
+    variance and their correlations with the rest are right.
+
+    Cost per step: the EKF's. Choose it for biases and parameters that are too weakly observable to
+    estimate but too large to ignore; usually on an `Augmented` model, whose biases are called
+    `bias.*` and `input.*` (from a scenario: `type = "bias_ekf"` with `considered`).
+
+    Attributes:
+        model: the filter's model.
+        covariance_update: not used here; the update is in Joseph's form.
+        considered: patterns of the state coordinates that are not estimated; none makes it the EKF.
+
+    Raises:
+        ScenarioError: a pattern matches no coordinate.
+    """
+
+    considered: Sequence[str] = ()
+    _estimated: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        patterns = dict.fromkeys(self.considered, 0.0)
+        what = f"{type(self).__name__}: considered"
+        estimated = expand(patterns, self.model.space.names, what, default=1.0)
+        object.__setattr__(self, "_estimated", estimated)
+
+    def update(
+        self,
+        belief: Gaussian,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Gaussian, Innovation]:
+        """x̂⁺ = x̂⁻ ⊞ K ν and P⁺ in Joseph's form, with the considered rows of K at zero."""
+        predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
+        R = self.model.measurement_noise(t, channels)
+        residual = self.model.output(channels).minus(y, predicted)
+        PHt = belief.cov @ np.swapaxes(H, -1, -2)
+        c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
+        K = c.gain * self._estimated[:, None]
+        A = np.eye(len(self._estimated)) - K @ H
+        cov = A @ belief.cov @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2)
+        delta = c.delta * self._estimated
+        return settle(self.model.space, belief, delta, symmetrize(cov), c.fault), c.innovation

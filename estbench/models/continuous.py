@@ -1,0 +1,249 @@
+"""Continuous-time models ẋ = f(x) + G u + w, and their integration by RK4 on a manifold."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import rotation
+from estbench.errors import DimensionError
+from estbench.linalg import symmetrize
+from estbench.manifold import Manifold
+from estbench.models.base import Channels, Model
+from estbench.models.differences import Differences
+from estbench.models.function import Function, FunctionModel
+
+Array = NDArray[np.float64]
+Matrix = Array | Callable[[float], Array]
+"""A matrix, or a function of time t in s that returns one."""
+
+
+@runtime_checkable
+class ContinuousModel(Model, Protocol):
+    """A model that also gives its flow, for filters that integrate it (Bishop, eq. 1)."""
+
+    def flow(self, x: Array, u: Array, t: float) -> Array:
+        """ẋ `(..., n)` in the tangent at x `(..., nx)`; rotations by their body-frame rate."""
+        ...
+
+    def flow_jacobian(self, x: Array, u: Array, t: float) -> tuple[Array, Array]:
+        """ẋ `(run, n)` and ∂ẋ(x ⊞ δ)/∂δ at 0 `(run, n, n)`, without the turning of the tangent."""
+        ...
+
+    def spectral_density(self, x: Array, u: Array, t: float) -> Array:
+        """Q_s of the white noise on ẋ, `(n, n)` or `(run, n, n)`."""
+        ...
+
+
+def integrate(
+    model: ContinuousModel, x: Array, u: Array, t: float, dt: float, substeps: int = 1
+) -> Array:
+    """The state after dt by RK4; 4 `substeps` flows; x `(run, nx)` or `(run, point, nx)`."""
+    for start, h in _grid(t, dt, substeps):
+
+        def slope(s: float, state: tuple[Array, ...], x: Array = x) -> tuple[Array, ...]:
+            rate = model.flow(model.space.plus(x, state[0]), u, s)
+            return (chart_rate(model.space, state[0], rate),)
+
+        (delta,) = _rk4(slope, start, h, (np.zeros((*x.shape[:-1], model.space.n)),))
+        x = model.space.plus(x, delta)
+    return x
+
+
+def integrate_moments(
+    model: ContinuousModel, x: Array, u: Array, t: float, dt: float, substeps: int = 1
+) -> tuple[Array, Array, Array]:
+    """State `(run, nx)`, Φ and Q̄ `(run, n, n)` after dt, together by RK4 (Bishop, eq. 10).
+
+    The state moves along the tangent increment from each substep's start; Φ and Q̄ are taken between
+    the tangents at the first x and at the moving one. Cost: 4 `substeps` flow Jacobians.
+    """
+    n = model.space.n
+    Phi = np.broadcast_to(np.eye(n), (len(x), n, n))
+    Q = np.zeros((len(x), n, n))
+    for start, h in _grid(t, dt, substeps):
+
+        def slope(s: float, state: tuple[Array, ...], x: Array = x) -> tuple[Array, ...]:
+            return moment_rates(model, x, u, s, *state)
+
+        delta, Phi, Q = _rk4(slope, start, h, (np.zeros((len(x), n)), Phi, Q))
+        x = model.space.plus(x, delta)
+    return x, Phi, symmetrize(Q)
+
+
+def moment_rates(
+    model: ContinuousModel, x: Array, u: Array, t: float, delta: Array, Phi: Array, Q: Array
+) -> tuple[Array, Array, Array]:
+    """Rates of δ, Φ and Q̄ at x ⊞ δ: Φ̇ = F Φ, dQ̄/dt = F Q̄ + Q̄ Fᵀ + Q_s (Bishop, eq. 6, 9).
+
+    F is the Jacobian of the flow less [ω]× for every rotation, since the body-frame tangent turns.
+    """
+    space = model.space
+    point = space.plus(x, delta)
+    rate, F = model.flow_jacobian(point, u, t)
+    if not space.flat:
+        F = F.copy()
+        for first in space.quaternions[:, 1]:
+            block = slice(first, first + 3)
+            F[..., block, block] -= rotation.skew(rate[..., block])
+    half = F @ Q
+    driven = half + np.swapaxes(half, -1, -2) + model.spectral_density(point, u, t)
+    return chart_rate(space, delta, rate), F @ Phi, driven
+
+
+def chart_rate(space: Manifold, delta: Array, rate: Array) -> Array:
+    """δ̇ = J(δ)⁻¹ ẋ `(..., n)`: the rate of x ⊞ δ in the chart at x (Hairer et al. 2006, IV.8)."""
+    if space.flat:
+        return rate
+    solved = np.linalg.solve(space.reset_jacobian(delta), rate[..., None])
+    return np.asarray(solved[..., 0], np.float64)
+
+
+def _grid(t: float, dt: float, substeps: int) -> list[tuple[float, float]]:
+    """Start and length of each substep."""
+    return [(t + k * dt / substeps, dt / substeps) for k in range(substeps)]
+
+
+def _rk4(
+    slope: Callable[[float, tuple[Array, ...]], tuple[Array, ...]],
+    t: float,
+    h: float,
+    state: tuple[Array, ...],
+) -> tuple[Array, ...]:
+    """One step of the classical Runge-Kutta method on a tuple of arrays."""
+
+    def moved(k: tuple[Array, ...], step: float) -> tuple[Array, ...]:
+        return tuple(a + step * b for a, b in zip(state, k, strict=True))
+
+    k1 = slope(t, state)
+    k2 = slope(t + h / 2, moved(k1, h / 2))
+    k3 = slope(t + h / 2, moved(k2, h / 2))
+    k4 = slope(t + h, moved(k3, h))
+    mean = tuple((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
+    return moved(mean, h)
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousFunctionModel:
+    """ẋ = f(x, u, t) + G(t) u + w, y = h(x, u, t) + v in R^n (Bishop, eq. 1-2).
+
+    It is a discrete model too, by RK4 of x, Φ and Q̄, so every estimator runs on it.
+
+    Attributes:
+        f: takes x `(..., n)`, u `(..., nu)` and t in s, returns ẋ `(..., n)` without G u.
+        h: measurement; takes x, u and t, returns `(..., m)`.
+        Q_s: spectral density of w `(n, n)`, or a function of t.
+        R: measurement noise covariance `(m, m)`, or a function of t.
+        G: `(n, nu)`, or a function of t; None where f uses u itself, or for no control.
+        n_controls: count of controls; G's columns if there is a G.
+        f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if absent.
+        batched: whether f, h and their Jacobians take leading axes; if not they are looped over.
+        substeps: RK4 steps in one transition.
+        differences: scheme and step of the difference Jacobians.
+        names, units: of the state's coordinates.
+
+    Raises:
+        CovarianceError: R is not symmetric positive definite at t = 0.
+        DimensionError: G does not fit Q_s; at a call, a function returns another shape.
+    """
+
+    f: Function
+    h: Function
+    Q_s: Matrix
+    R: Matrix
+    G: Matrix | None = None
+    n_controls: int = 0
+    f_jacobian: Function | None = None
+    h_jacobian: Function | None = None
+    batched: bool = True
+    substeps: int = 1
+    differences: Differences = Differences("centered", 1e-5)  # noqa: RUF009 it is frozen
+    names: tuple[str, ...] | None = None
+    units: tuple[str, ...] | None = None
+    _parts: FunctionModel = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.substeps < 1:
+            raise DimensionError(f"substeps is {self.substeps}; use a whole number of at least 1")
+        density = _at(self.Q_s, 0.0)
+        if self.G is not None:
+            G = _at(self.G, 0.0)
+            if G.shape[:-1] != density.shape[:-1] or self.n_controls not in (0, G.shape[-1]):
+                raise DimensionError(
+                    f"G has shape {G.shape}; expected ({len(density)}, n_controls) with n_controls "
+                    f"{self.n_controls or 'left out'}"
+                )
+            object.__setattr__(self, "n_controls", G.shape[-1])
+        f, slope = self.f, self.f_jacobian
+        parts = FunctionModel(
+            lambda x, u, t, dt: f(x, u, t), self.h, density, _at(self.R, 0.0), self.n_controls,
+            None if slope is None else lambda x, u, t, dt: slope(x, u, t), self.h_jacobian,
+            self.batched, self.differences, self.names, self.units,
+        )  # fmt: skip
+        object.__setattr__(self, "_parts", parts)
+
+    @property
+    def space(self) -> Manifold:
+        """R^n."""
+        return self._parts.space
+
+    @property
+    def nu(self) -> int:
+        """Count of controls."""
+        return self.n_controls
+
+    def output(self, channels: Channels = None) -> Manifold:
+        """R^m; a function model has one channel."""
+        return self._parts.output()
+
+    def flow(self, x: Array, u: Array, t: float = 0.0) -> Array:
+        """ẋ = f + G u."""
+        return self._driven(self._parts.transition(x, u, t, 0.0), u, t)
+
+    def flow_jacobian(self, x: Array, u: Array, t: float = 0.0) -> tuple[Array, Array]:
+        """ẋ = f + G u and ∂f/∂x."""
+        rate, F = self._parts.transition_jacobian(x, u, t, 0.0)
+        return self._driven(rate, u, t), F
+
+    def spectral_density(self, x: Array, u: Array, t: float = 0.0) -> Array:
+        """Q_s."""
+        return _at(self.Q_s, t)
+
+    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
+        """The state after dt by RK4."""
+        return integrate(self, x, u, t, dt, self.substeps)
+
+    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
+        """The state and Φ after dt by RK4 (Bishop, eq. 10)."""
+        return integrate_moments(self, x, u, t, dt, self.substeps)[:2]
+
+    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
+        """Q̄ after dt by RK4 (Bishop, eq. 10)."""
+        return integrate_moments(self, x, u, t, dt, self.substeps)[2]
+
+    def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
+        """h(x, u, t)."""
+        return self._parts.measurement(x, u, t)
+
+    def measurement_jacobian(
+        self, x: Array, u: Array, t: float = 0.0, channels: Channels = None
+    ) -> tuple[Array, Array]:
+        """The measurement and ∂h/∂x."""
+        return self._parts.measurement_jacobian(x, u, t)
+
+    def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
+        """R."""
+        return _at(self.R, t)
+
+    def _driven(self, rate: Array, u: Array, t: float) -> Array:
+        if self.G is None:
+            return rate
+        push = u @ _at(self.G, t).T
+        return rate + (push if rate.ndim == push.ndim else push[:, None])
+
+
+def _at(matrix: Matrix, t: float) -> Array:
+    """The matrix at time t."""
+    return matrix(t) if callable(matrix) else matrix

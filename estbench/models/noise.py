@@ -1,0 +1,116 @@
+"""Process-noise builders: from a spectral density Q_s to the covariance Q of one step.
+
+Every builder takes the same white noise of density Q_s; those with `held` may instead hold each
+draw over the step, N(0, Q_s/dt), as the `force` disturbance of a MuJoCo model does.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from estbench.errors import CovarianceError, DimensionError
+
+Array = NDArray[np.float64]
+
+
+def van_loan(F: Array, Q_s: Array, dt: float, G: Array | None = None) -> tuple[Array, Array]:
+    """Φ and Q of ẋ = F x + G w over dt, exactly (Van Loan 1978, theorem 1).
+
+    exp([[-F, G Q_s Gᵀ], [0, Fᵀ]] dt) = [[., Φ⁻¹ Q], [0, Φᵀ]].
+
+    Args:
+        F: `(n, n)` or `(run, n, n)`, 1/s.
+        Q_s: spectral density of w `(k, k)` or `(run, k, k)`, unit²/Hz.
+        dt: step, s.
+        G: `(n, k)` or `(run, n, k)`; the identity by default.
+
+    Returns:
+        Φ and Q, each `(n, n)` or `(run, n, n)`.
+
+    Raises:
+        DimensionError: Q_s does not fit F and G.
+    """
+    n = F.shape[-1]
+    width = n if G is None else G.shape[-1]
+    if Q_s.shape[-2:] != (width, width):
+        raise DimensionError(f"Q_s has shape {Q_s.shape}; expected {(width, width)}")
+    driven = Q_s if G is None else G @ Q_s @ np.swapaxes(G, -1, -2)
+    lead = np.broadcast_shapes(F.shape[:-2], driven.shape[:-2])
+    block = np.zeros((*lead, 2 * n, 2 * n))
+    block[..., :n, :n], block[..., :n, n:] = -F, driven
+    block[..., n:, n:] = np.swapaxes(F, -1, -2)
+    exponential = np.asarray(expm(block * dt), np.float64)
+    Phi = np.swapaxes(exponential[..., n:, n:], -1, -2)
+    Q = Phi @ exponential[..., :n, n:]
+    return Phi, 0.5 * (Q + np.swapaxes(Q, -1, -2))
+
+
+def white_acceleration(dt: float, q: ArrayLike, held: bool = False) -> Array:
+    """Q `(2 k, 2 k)` of (positions, velocities) under white acceleration on k axes.
+
+    Continuous (Bar-Shalom, Li & Kirubarajan 2001, sec. 6.2.2):
+    q [[dt³/3, dt²/2], [dt²/2, dt]]; held (sec. 6.3.2): (q/dt) γ γᵀ with γ = (dt²/2, dt).
+
+    Args:
+        dt: step, s.
+        q: spectral density of the acceleration `()` or `(k,)`, (m/s²)²/Hz.
+        held: whether the acceleration is constant over a step.
+    """
+    return _integrated(2, dt, q, held)
+
+
+def white_jerk(dt: float, q: ArrayLike, held: bool = False) -> Array:
+    """Q `(3 k, 3 k)` of (positions, velocities, accelerations) under white jerk on k axes.
+
+    Continuous (Bar-Shalom, Li & Kirubarajan 2001, sec. 6.2.3): q times
+    [[dt⁵/20, dt⁴/8, dt³/6], [dt⁴/8, dt³/3, dt²/2], [dt³/6, dt²/2, dt]];
+    held: (q/dt) γ γᵀ with γ = (dt³/6, dt²/2, dt).
+
+    Args:
+        dt: step, s.
+        q: spectral density of the jerk `()` or `(k,)`, (m/s³)²/Hz.
+        held: whether the jerk is constant over a step.
+    """
+    return _integrated(3, dt, q, held)
+
+
+def scheduled(times: Sequence[float], values: ArrayLike) -> Callable[[float], Array]:
+    """A matrix that changes in time: `values[i]` from `times[i]` on, `values[0]` before.
+
+    For the Q_s(t) or R(t) of a `ContinuousFunctionModel`.
+
+    Args:
+        times: increasing, s.
+        values: `(len(times), n, n)`.
+
+    Raises:
+        DimensionError: times are not increasing or not as many as values.
+    """
+    starts, stack = np.asarray(times, np.float64), np.asarray(values, np.float64)
+    if starts.ndim != 1 or len(starts) != len(stack) or np.any(np.diff(starts) <= 0):
+        raise DimensionError(
+            f"times has shape {starts.shape} and values {stack.shape}; give one matrix for each "
+            f"time, the times increasing"
+        )
+    return lambda t: stack[max(int(np.searchsorted(starts, t + 1e-9, side="right")) - 1, 0)]
+
+
+def _integrated(order: int, dt: float, q: ArrayLike, held: bool) -> Array:
+    """Q of a chain of `order` integrators a coordinate, driven by white noise of density q.
+
+    The state's i-th block responds to a unit impulse s ago by s^p/p!, p = order - 1 - i.
+    """
+    density = np.atleast_1d(np.asarray(q, np.float64))
+    if not (density >= 0).all() or not dt > 0:
+        raise CovarianceError(f"q is {q} and dt {dt}; use densities of at least 0 and dt above 0")
+    power = np.arange(order - 1, -1, -1)
+    factorial = np.cumprod(np.maximum(np.arange(order), 1))[power]
+    if held:
+        gamma = dt ** (power + 1) / (factorial * (power + 1))
+        block = np.outer(gamma, gamma) / dt
+    else:
+        total = power[:, None] + power + 1
+        block = dt**total / (total * np.outer(factorial, factorial))
+    return np.asarray(np.kron(block, np.diag(density)), np.float64)

@@ -1,0 +1,222 @@
+"""The numbers behind the figures: per-step means with bands, paired differences, chosen runs.
+
+Statistics are over every finished run that did not diverge. Only `thin` and `choose_runs` leave
+anything out, and they are for drawing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from estbench.consistency import Interval, chi_square_band, mean_interval
+from estbench.report.sources import Entry
+
+Array = NDArray[np.float64]
+
+POINTS = 1000
+"""Instants drawn of one curve, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """A mean over runs at every step, and the band in which a consistent filter's would lie.
+
+    Attributes:
+        time: `(k,)` s.
+        mean, low, high: `(k,)`, as a ratio to the degrees of freedom: 1 is consistent.
+        counts: which steps count in the share `(k,)`.
+        expected: share of the steps expected outside.
+    """
+
+    time: Array
+    mean: Array
+    low: Array
+    high: Array
+    counts: NDArray[np.bool_]
+    expected: float
+
+    @property
+    def out(self) -> NDArray[np.bool_]:
+        """Steps that count and whose mean is outside the band `(k,)`."""
+        with np.errstate(invalid="ignore"):
+            return self.counts & ((self.mean < self.low) | (self.mean > self.high))
+
+    @property
+    def outside(self) -> float:
+        """Share of the steps whose mean is outside; NaN where none counts."""
+        total = int(self.counts.sum())
+        return float(self.out.sum() / total) if total else np.nan
+
+    def worst_window(self, part: float = 0.1) -> tuple[float, float, float]:
+        """Start, end and share outside of the stretch of `part` of the time that is worst."""
+        window = max(1, round(part * len(self.time)))
+        total = np.concatenate([[0], np.cumsum(self.out)])
+        count = np.concatenate([[0], np.cumsum(self.counts)])
+        inside = count[window:] - count[:-window]
+        share = (total[window:] - total[:-window]) / np.maximum(inside, 1)
+        start = int(share.argmax())
+        return float(self.time[start]), float(self.time[start + window - 1]), float(share[start])
+
+
+def nees_steps(entry: Entry) -> Steps:
+    """NEES/n averaged over the runs at every instant, with its chi-square band."""
+    record, n = entry.record, entry.source.n
+    runs = record["count"].sum(axis=0)
+    return _steps(entry, record["nees_sum"].sum(axis=0), np.full(len(runs), n), runs)
+
+
+def nis_steps(entry: Entry) -> Steps:
+    """NIS/m averaged over the runs at every instant at which something arrived."""
+    record = entry.record
+    runs = record["count"].sum(axis=0)
+    dof = record["dof_sum"].sum(axis=0) / np.maximum(runs, 1)
+    return _steps(entry, record["nis_sum"].sum(axis=0), dof, runs)
+
+
+def _steps(entry: Entry, total: Array, dof: Array, runs: Array) -> Steps:
+    source = entry.source
+    used = (dof > 0) & (runs > 0)
+    low, high = chi_square_band(dof[used], runs[used], source.level)
+    return Steps(
+        source.times[used], total[used] / (dof * runs)[used], low / dof[used], high / dof[used],
+        source.settled[used], 1 - source.level,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Rmse:
+    """RMSE over the runs at every instant, against what the filter reports.
+
+    Attributes:
+        time: `(K + 1,)` s.
+        rmse, sigma: root mean square error and root mean variance `(K + 1, n)`, in the unit.
+        low, high: interval of the RMSE `(K + 1, n)`, or NaN.
+        exact: whether the interval is across runs (from traces), or assumes normal errors.
+    """
+
+    time: Array
+    rmse: Array
+    sigma: Array
+    low: Array
+    high: Array
+    exact: bool
+
+
+def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
+    """RMSE over time with an interval at every step.
+
+    Args:
+        entry: the estimator.
+        fourth: sum over the runs of the fourth power of the error `(K + 1, n)` where traces were
+            kept: then the interval is Student's t of the mean squared error across runs, as in
+            the tables. Without it the squared errors are taken to be chi-square.
+    """
+    record, level = entry.record, entry.source.level
+    runs = record["count"].sum(axis=0)[:, None]
+    square = record["square_sum"].sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mse = square / runs
+        sigma = np.sqrt(record["variance_sum"].sum(axis=0) / runs)
+        if fourth is not None:
+            spread = np.sqrt(np.maximum(fourth / runs - mse**2, 0.0) * runs / (runs - 1))
+            half = stats.t.ppf(0.5 + level / 2, runs - 1) * spread / np.sqrt(runs)
+            low, high = mse - half, mse + half
+        else:
+            low, high = (square / stats.chi2.ppf(0.5 + s * level / 2, runs) for s in (1, -1))
+        return Rmse(
+            entry.source.times, np.sqrt(mse), sigma,
+            np.sqrt(np.maximum(low, 0.0)), np.sqrt(high), fourth is not None,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Paired:
+    """One entry minus another on the runs that both have and neither lost.
+
+    Attributes:
+        entry, baseline: keys.
+        runs: how many runs are paired.
+        anees: difference of the runs' NEES/n.
+        rmse: difference of the runs' RMSE, one a coordinate, in its unit.
+        ratio: ratio of cost.
+    """
+
+    entry: str
+    baseline: str
+    runs: int
+    anees: Interval
+    rmse: tuple[Interval, ...]
+    ratio: float
+
+
+def paired(entry: Entry, baseline: Entry) -> Paired:
+    """Differences run by run; Student's t interval of their mean."""
+    common, i, j = np.intersect1d(entry.source.runs, baseline.source.runs, return_indices=True)
+    both = entry.good[i] & baseline.good[j]
+    i, j = i[both], j[both]
+    level = entry.source.level
+    rmse = np.sqrt(entry.record["mse"][i]) - np.sqrt(baseline.record["mse"][j])
+    return Paired(
+        entry.key,
+        baseline.key,
+        int(both.sum()) if len(common) else 0,
+        mean_interval(entry.record["anees"][i] - baseline.record["anees"][j], level),
+        tuple(mean_interval(column, level) for column in rmse.T),
+        entry.summary.cost / baseline.summary.cost if baseline.summary.cost else np.nan,
+    )
+
+
+def thin(values: Array, points: int = POINTS) -> NDArray[np.intp]:
+    """Indices of at most `points` values that keep every bucket's least and greatest.
+
+    Args:
+        values: `(k,)` or `(k, series)`; several series are thinned together by their range.
+        points: how many to keep.
+    """
+    count = len(values)
+    if count <= points:
+        return np.arange(count)
+    table = np.asarray(values, float).reshape(count, -1)
+    low, high = np.where(np.isfinite(table), table, np.inf), np.where(
+        np.isfinite(table), table, -np.inf
+    )
+    buckets = max(1, points // (2 * table.shape[1]))
+    edges = np.linspace(0, count, buckets + 1).astype(int)
+    keep = {0, count - 1}
+    for start, stop in zip(edges[:-1], edges[1:]):
+        if stop > start:
+            keep.update(start + low[start:stop].argmin(axis=0))
+            keep.update(start + high[start:stop].argmax(axis=0))
+    return np.array(sorted(keep))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A run that is drawn, and why."""
+
+    run: int
+    why: str
+
+
+def choose_runs(entries: Sequence[Entry], most: int) -> list[Chosen]:
+    """Runs worth a look: each entry's worst and best by NEES/n, its median, then the first ones."""
+    reasons: dict[int, list[str]] = {}
+    ranked = []
+    for entry in entries:
+        anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)
+        order = np.argsort(anees, kind="stable")
+        runs = entry.source.runs[order]
+        ranked.append((entry, runs))
+    several = len(entries) > 1
+    for what, place in (("worst", -1), ("best", 0), ("median", None)):
+        for entry, runs in ranked:
+            index = (len(runs) - 1) // 2 if place is None else place
+            why = f"{what} of {entry.key}" if several else what
+            reasons.setdefault(int(runs[index]), []).append(why)
+    for run in entries[0].source.runs[:most]:
+        reasons.setdefault(int(run), [])
+    chosen = list(reasons.items())[:most]
+    return sorted((Chosen(run, ", ".join(why)) for run, why in chosen), key=lambda c: c.run)

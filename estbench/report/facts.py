@@ -1,0 +1,230 @@
+"""What the page says in words and tables: verdicts, the scenario, the failures."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estbench import setup
+from estbench.consistency import Interval, Verdict
+from estbench.errors import EstbenchError
+from estbench.estimators.base import Fault
+from estbench.models import layout, mjcf
+from estbench.report.data import Steps
+from estbench.report.sources import Entry, Source
+from estbench.report.traces import TraceStatistics
+from estbench.results import interval
+
+DIVERGED_ROWS = 100
+"""Diverged runs listed of one estimator."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The scenario of one source.
+
+    Attributes:
+        title: of the source.
+        description: one line.
+        rows: pairs of name and value.
+        sensors: rows of channel, type, noise, unit, rate; empty where the robot is not found.
+        noise: rows of coordinate, initial σ, process noise.
+        differences: how the filter's model differs from the truth, one line each.
+        toml: the scenario as it was run.
+        problem: why the robot could not be built, or "".
+    """
+
+    title: str
+    description: str
+    rows: tuple[tuple[str, str], ...]
+    sensors: tuple[tuple[str, ...], ...]
+    noise: tuple[tuple[str, ...], ...]
+    differences: tuple[str, ...]
+    toml: str
+    problem: str
+
+
+def verdict(entry: Entry, steps: Steps) -> str:
+    """What to think of one estimator, in a sentence or two."""
+    s = entry.summary
+    nees = f"NEES/n is {interval(s.anees)} over {s.runs - round(s.diverged * s.runs)} runs"
+    percent = f"{s.diverged:.1%} of {s.runs} runs diverged"
+    sentences = {
+        Verdict.CONSISTENT: f"{nees}: its errors are as large as its covariance says.",
+        Verdict.OVERCONFIDENT: (
+            f"{nees}: its errors are {math.sqrt(s.anees.value):.3g} times as large as its "
+            "covariance says."
+        )
+        if s.anees.value > 0
+        else nees,
+        Verdict.CONSERVATIVE: (
+            f"{nees}: its errors are only {math.sqrt(max(s.anees.value, 0)):.3g} times as large as "
+            "its covariance says."
+        ),
+        Verdict.DIVERGING: f"{percent}; of the others, {nees}.",
+        Verdict.UNDECIDED: f"{nees}, too few to say more.",
+    }
+    text = sentences[s.verdict]
+    if s.verdict is not Verdict.DIVERGING and s.diverged:
+        text += f" {percent[0].upper()}{percent[1:]}."
+    if math.isfinite(steps.outside):
+        text += (
+            f" The mean over runs is outside its {1 - steps.expected:.0%} band at "
+            f"{steps.outside:.1%} of the steps ({steps.expected:.0%} expected)"
+        )
+        start, end, share = steps.worst_window()
+        if steps.outside > 2 * steps.expected and share > 1.5 * steps.outside:
+            text += f", most of all from t = {start:g} to {end:g} s ({share:.0%})"
+        text += "."
+    return text
+
+
+def facts(source: Source) -> Facts:
+    """What was simulated; the parts that need the robot are empty where its file is gone."""
+    scenario, attrs = source.scenario, source.attrs
+    simulation = scenario.simulation
+    count = f"{len(source.runs)}"
+    if len(source.runs) < source.total:
+        count += f" finished of {source.total}"
+    rows = [
+        ("runs", count),
+        ("duration", f"{source.times[-1]:g} s in {len(source.times) - 1} steps"),
+        ("seed", f"{attrs.get('seed', simulation.seed)}"),
+        ("control", f"{scenario.control.kind}, seeing the {scenario.control.observe}"),
+        ("estimators", ", ".join(attrs["estimators"])),
+        ("robot", scenario.model.path),
+        ("run on", str(attrs.get("created", ""))),
+        ("versions", ", ".join(f"{k} {v}" for k, v in dict(attrs.get("versions", {})).items())),
+    ]
+    sensors: tuple[tuple[str, ...], ...] = ()
+    noise: tuple[tuple[str, ...], ...] = ()
+    problem = ""
+    try:
+        prepared = setup.build(scenario)
+        model = prepared.plant.model
+        integrator = next(k for k, v in mjcf.INTEGRATORS.items() if v == model.opt.integrator)
+        rows.insert(
+            2, ("physics", f"{model.opt.timestep:g} s x {scenario.model.frame_skip}, {integrator}")
+        )
+        sensors = tuple(_sensor(prepared, channel) for channel in prepared.channels)
+        noise = _noise(prepared)
+    except EstbenchError as error:
+        problem = " ".join(str(error).split())
+    return Facts(
+        source.title, scenario.description, tuple(rows), sensors, noise,
+        tuple(_differences(source)), scenario.to_toml(), problem,
+    )  # fmt: skip
+
+
+def _sensor(prepared: setup.Setup, channel: Any) -> tuple[str, ...]:
+    model = prepared.plant.model
+    std = np.unique(np.sqrt(np.diag(channel.cov)))
+    rate = 1 / (channel.period * model.opt.timestep)
+    return (
+        channel.name,
+        layout.sensor_type(model, channel.index),
+        " ".join(f"{s:.3g}" for s in std),
+        channel.space.units[0],
+        f"{rate:g} Hz",
+    )
+
+
+def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
+    """Coordinate, unit, initial σ, spectral density of the noise that enters there."""
+    space, noise, nv = prepared.space, prepared.disturbance, prepared.plant.model.nv
+    density = np.diag(noise.density)
+    text = [""] * space.n
+    for i, q in enumerate(density):
+        if noise.kind == "additive" and q:
+            text[i] = f"{q:.3g} ({space.units[i]})²/s"
+        elif noise.kind == "force" and q:
+            text[nv + i] = f"{q:.3g} ({'N' if space.units[i] == 'm' else 'N m'})² s"
+    std = np.sqrt(np.diag(prepared.cov))
+    rows = [
+        (name, unit, f"{s:.3g}", q) for name, unit, s, q in zip(space.names, space.units, std, text)
+    ]
+    if noise.kind == "actuator":
+        names = layout.actuator_names(prepared.plant.model)
+        rows += [(name, "ctrl", "", f"{q:.3g} (ctrl)² s") for name, q in zip(names, density) if q]
+    return tuple(rows)
+
+
+def _differences(source: Source) -> list[str]:
+    scenario = source.scenario
+    lines = [f"truth: {key} = {value}" for key, value in scenario.truth.set.items()]
+    for key, draw in scenario.truth.draw.items():
+        spread = [f"{100 * draw.relative_std:g}%"] if draw.relative_std else []
+        spread += [f"{draw.std:g}"] if draw.std else []
+        lines.append(f"truth: {key} drawn once a run, σ = {' + '.join(spread) or '0'}")
+    default = type(scenario.filter)()
+    for name in type(scenario.filter).model_fields:
+        value = getattr(scenario.filter, name)
+        if value != getattr(default, name):
+            lines += (
+                [f"filter: {k} = {v}" for k, v in value.items()]
+                if isinstance(value, dict)
+                else [f"filter: {name} = {value}"]
+            )
+    return lines
+
+
+@dataclass(frozen=True)
+class Diverged:
+    """One run that diverged: when (None if the store cannot say) and why."""
+
+    entry: str
+    run: int
+    time: float | None
+    step: int | None
+    cause: str
+
+
+def diverged(
+    entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]
+) -> list[tuple[str, int, list[Diverged]]]:
+    """Of every entry with any: its key, how many runs diverged, and the first of them."""
+    out = []
+    for entry, traces in zip(entries, statistics):
+        lost = np.flatnonzero(~entry.good)
+        if not len(lost):
+            continue
+        section = entry.source.scenario.consistency
+        times = entry.source.times
+        rows = []
+        for i in lost[:DIVERGED_ROWS]:
+            run, fault = int(entry.source.runs[i]), int(entry.record["fault"][i])
+            # A run may be lost long before it fails: then the cause is what came first.
+            left = traces.left.get(run, math.nan) if traces is not None else math.nan
+            step = int(entry.record["fault_step"][i]) if fault else None
+            cause = Fault(fault).text if fault else ""
+            if not fault or (math.isfinite(left) and step is not None and left < times[step]):
+                cause = (
+                    f"NEES/n above {section.divergence_threshold:g} for "
+                    f"{section.divergence_duration:g} s" + (f", then {cause}" if cause else "")
+                )
+                step = int(np.searchsorted(times, left)) if math.isfinite(left) else None
+            time = float(times[step]) if step is not None else None
+            rows.append(Diverged(entry.key, run, time, step, cause))
+        out.append((entry.key, len(lost), rows))
+    return out
+
+
+def show(i: Interval) -> str:
+    """A ratio's interval for a table, `1.02 ± 0.03`, or the value alone."""
+    return interval(i).replace("-0.000 ", "0.000 ") if math.isfinite(i.value) else "–"
+
+
+def quantity(i: Interval) -> str:
+    """An interval of a quantity with a unit: `0.00371 ± 0.00002`."""
+    if not math.isfinite(i.value):
+        return "–"
+    half = 0.5 * (i.high - i.low)
+    if not math.isfinite(half) or half == 0:
+        return f"{i.value:.3g}"
+    if half < 1e-6 or abs(i.value) >= 1e5:
+        return f"{i.value:.3g} ± {half:.1g}"
+    decimals = -math.floor(math.log10(half))
+    decimals = max(0, decimals + (half * 10**decimals < 2))  # a leading 1 gets one digit more
+    return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"

@@ -1,0 +1,224 @@
+"""Statistics that need the traces of every run, read batch by batch so that any store fits memory."""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from estbench.consistency import Interval, chi_square_band, mean_interval
+from estbench.report.data import thin
+from estbench.report.sources import Entry
+
+Array = NDArray[np.float64]
+
+SIGMAS = (1, 2, 3)
+LAGS = 40
+ERROR_EDGES = np.linspace(-5.0, 5.0, 81)
+"""Bins of error/σ."""
+NEES_BINS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class TraceStatistics:
+    """What only the traces can say of one estimator; over the runs that did not diverge.
+
+    Attributes:
+        coverage: share of the errors within 1, 2, 3σ: `[sigma][coordinate]`, intervals across runs.
+        errors: density of error/σ in the bins `ERROR_EDGES` `(n, bins)`.
+        beyond: share of error/σ outside these bins `(n,)`.
+        nees_edges, nees: bins of NEES and the density in them.
+        outside: share of single values of NEES and NIS outside the band of one run.
+        correlation: of NIS with itself, by lag in instants `(LAGS + 1,)`; NaN where never paired.
+        correlation_band: half-width of the band of each lag for independent innovations.
+        fourth: sum over runs of the fourth power of the error `(K + 1, n)`.
+        left: time at which each diverged run did, s, by run number; NaN where it failed earlier.
+    """
+
+    coverage: tuple[tuple[Interval, ...], ...]
+    errors: Array
+    beyond: Array
+    nees_edges: Array
+    nees: Array
+    outside: tuple[float, float]
+    correlation: Array
+    correlation_band: Array
+    fourth: Array
+    left: dict[int, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The sums of one batch."""
+
+    coverage: Array
+    errors: Array
+    total: int
+    nees: Array
+    out: Array
+    products: Array
+    pairs: Array
+    fourth: Array
+    left: dict[int, float]
+
+
+def statistics(entry: Entry) -> TraceStatistics | None:
+    """The statistics of an entry's traces, or None if the store kept none."""
+    if not entry.source.has_traces:
+        return None
+    source, n = entry.source, entry.source.n
+    edges = np.linspace(0.0, float(stats.chi2.ppf(0.9999, n)), NEES_BINS + 1)
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        parts = list(pool.map(lambda piece: _part(entry, *piece, edges), _pieces(entry)))
+    coverage = np.concatenate([p.coverage for p in parts])
+    total = sum(p.total for p in parts)
+    errors = sum(p.errors for p in parts)
+    nees = sum(p.nees for p in parts)
+    out = sum(p.out for p in parts)
+    products, pairs = sum(p.products for p in parts), sum(p.pairs for p in parts)
+    left: dict[int, float] = {}
+    for part in parts:
+        left |= part.left
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(pairs > 0, products / pairs, np.nan)
+        z = float(stats.norm.ppf(0.5 + source.level / 2))
+        return TraceStatistics(
+            coverage=tuple(
+                tuple(mean_interval(coverage[:, k, i], source.level) for i in range(n))
+                for k in range(len(SIGMAS))
+            ),
+            errors=errors / (total * np.diff(ERROR_EDGES)),
+            beyond=1 - errors.sum(axis=1) / total,
+            nees_edges=edges,
+            nees=nees / (total * np.diff(edges)),
+            outside=(float(out[0] / out[1]), float(out[2] / out[3]) if out[3] else np.nan),
+            correlation=mean / mean[0],
+            correlation_band=z / np.sqrt(pairs),
+            fourth=np.sum([p.fourth for p in parts], axis=0),
+            left=left,
+        )
+
+
+def _pieces(entry: Entry) -> Iterator[tuple[slice, slice]]:
+    """Each finished batch as positions in the store and positions in the record."""
+    start = 0
+    for where in entry.source.batches:
+        stop = start + where.stop - where.start
+        yield where, slice(start, stop)
+        start = stop
+
+
+def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
+    source, n = entry.source, entry.source.n
+    group = entry.group.isel(run=where)
+    good = entry.good[rows]
+    nees = group["nees"].values
+    left = _left(entry, nees[~good], source.runs[rows][~good])
+    nees = nees[good]
+    error, std = group["error"].values[good], group["std"].values[good]
+    settled = source.settled
+    ratio = error[:, settled] / std[:, settled]
+    coverage = np.stack([(np.abs(ratio) <= k).mean(axis=1) for k in SIGMAS], axis=1)
+    errors = np.stack([np.histogram(ratio[..., i], ERROR_EDGES)[0] for i in range(n)])
+    nis, dof = group["nis"].values[good], group["dof"].values[good]
+    out = np.concatenate(
+        [
+            _outside(nees[:, settled], np.full(1, n), source.level),
+            _outside(nis[:, settled], dof[:, settled], source.level),
+        ]
+    )
+    products, pairs = _products(nis[:, settled], dof[:, settled])
+    return _Part(
+        coverage, errors, ratio[..., 0].size, np.histogram(nees[:, settled], edges)[0],
+        out, products, pairs, (error**4).sum(axis=0), left,
+    )  # fmt: skip
+
+
+def _outside(values: Array, dof: NDArray, level: float) -> Array:
+    """How many values lie outside the chi-square band of one, and of how many."""
+    sizes = np.unique(dof[dof > 0])
+    low, high = np.zeros(int(dof.max(initial=0)) + 1), np.zeros(int(dof.max(initial=0)) + 1)
+    for m in sizes:
+        low[m], high[m] = chi_square_band(float(m), 1, level)
+    used = np.broadcast_to(dof > 0, values.shape)
+    with np.errstate(invalid="ignore"):
+        out = used & ((values < low[dof]) | (values > high[dof]))
+    return np.array([out.sum(), used.sum()], float)
+
+
+def _products(nis: Array, dof: NDArray) -> tuple[Array, Array]:
+    """Sums over runs and instants of z(k) z(k + lag), and how many; z = (NIS - m)/sqrt(2 m).
+
+    NIS of a consistent filter is independent from one update to the next, of mean m and variance
+    2 m. Lags count instants; products exist where something arrived at both.
+    """
+    used = dof > 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(used, (nis - dof) / np.sqrt(2.0 * dof), 0.0)
+    z = np.where(np.isfinite(z), z, 0.0)
+    lags = min(LAGS, nis.shape[1] - 1)
+    products, pairs = np.zeros(LAGS + 1), np.zeros(LAGS + 1)
+    for lag in range(lags + 1):
+        stop = nis.shape[1] - lag
+        products[lag] = np.vdot(z[:, :stop], z[:, lag:])
+        pairs[lag] = np.count_nonzero(used[:, :stop] & used[:, lag:])
+    return products, pairs
+
+
+def _left(entry: Entry, nees: Array, runs: NDArray[np.int64]) -> dict[int, float]:
+    """When each diverged run had been above the threshold for long enough, s."""
+    section, times = entry.source.scenario.consistency, entry.source.times
+    window = max(1, min(round(section.divergence_duration / np.diff(times).mean()), len(times)))
+    found = {}
+    for run, row in zip(runs, nees):
+        with np.errstate(invalid="ignore"):
+            above = row / entry.source.n > section.divergence_threshold
+        total = np.concatenate([[0], above.cumsum()])
+        full = np.flatnonzero(total[window:] - total[:-window] == window)
+        found[int(run)] = float(times[full[0]]) if len(full) else np.nan
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class RunTrace:
+    """One run of one estimator, thinned for drawing.
+
+    Attributes:
+        time: `(k,)` s.
+        error, std: `(n, k)`, in the coordinates' units.
+        nees: NEES/n `(k,)`.
+    """
+
+    time: Array
+    error: Array
+    std: Array
+    nees: Array
+
+
+def run_trace(entry: Entry, run: int, points: int) -> RunTrace | None:
+    """The trace of a run, or None if the store has none of it.
+
+    Thinned so that each stretch keeps the instants where some |error|/σ is greatest.
+    """
+    place = entry.position(run)
+    if place is None or not entry.source.has_traces:
+        return None
+    group = entry.group.isel(run=place)
+    error, std, nees = (group[name].values for name in ("error", "std", "nees"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        worst = np.nanmax(np.where(np.isfinite(error / std), np.abs(error / std), -1.0), axis=1)
+    keep = thin(worst, points)
+    return RunTrace(
+        entry.source.times[keep], error[keep].T, std[keep].T, nees[keep] / entry.source.n
+    )
+
+
+def run_points(entries: Sequence[Entry], budget: int = 400_000) -> tuple[int, int]:
+    """How many runs and instants a page can hold: `runs x entries x 2 n x instants <= budget`."""
+    width = sum(2 * entry.source.n + 2 for entry in entries)
+    steps = min(500, max(len(entry.source.times) for entry in entries))
+    runs = int(np.clip(budget // (width * steps), 4, 16))
+    return runs, int(np.clip(budget // (width * runs), 100, steps))

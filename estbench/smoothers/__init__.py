@@ -1,0 +1,1 @@
+"""Estimates from the measurements of a whole run: RTS, unscented RTS, and batch MAP."""

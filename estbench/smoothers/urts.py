@@ -1,0 +1,52 @@
+"""Unscented Rauch-Tung-Striebel smoother (Särkkä 2008, sec. III; Särkkä 2013, alg. 10.3)."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.base import Gaussian
+from estbench.estimators.sigma_points import SigmaPoints, scaled
+from estbench.linalg import cholesky, symmetrize
+from estbench.models.base import Model
+from estbench.smoothers.rts import check_lengths, gaussian, smooth_step
+
+Array = NDArray[np.float64]
+
+
+def urts(
+    model: Model,
+    posteriors: Sequence[Any],
+    controls: Sequence[Array],
+    times: Sequence[float],
+    rule: SigmaPoints | None = None,
+) -> list[Gaussian]:
+    """Smoothed beliefs at `times`, backwards by sigma points drawn from each posterior.
+
+    Cost: one transition a sigma point (2 n + 1) and one Q for each interval. Choose it after a UKF
+    or cubature filter, with the same rule. On a linear model it is the batch least-squares
+    solution.
+
+    Args:
+        model: the filter's model.
+        posteriors: K + 1 beliefs with `mean`, `cov` and `fault`, after the updates at `times`.
+        controls: K controls `(run, nu)`, held from one time to the next.
+        times: K + 1 instants in s.
+        rule: sigma points; default the scaled rule with α = 1, β = 2, κ = 0.
+
+    Raises:
+        DimensionError: the lists' lengths do not fit.
+    """
+    check_lengths(posteriors, controls, times)
+    space, rule = model.space, rule or scaled(model.space.n)
+    smoothed = [gaussian(posteriors[-1])]
+    for k in reversed(range(len(controls))):
+        now, u, t, dt = gaussian(posteriors[k]), controls[k], times[k], times[k + 1] - times[k]
+        lower = cholesky(now.cov)
+        points = model.transition(rule.draw(space, now.mean, lower), u, t, dt)
+        mean, residual, cov = rule.moments(space, points)
+        cross = rule.cross(rule.points @ np.swapaxes(lower, -1, -2), residual)
+        cov = symmetrize(cov + model.process_noise(now.mean, u, t, dt))
+        smoothed.append(smooth_step(space, now, mean, cov, cross, smoothed[-1]))
+    return smoothed[::-1]

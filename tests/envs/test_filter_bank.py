@@ -1,0 +1,182 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from estbench.envs.filter import FilterBank, select
+from estbench.envs.world import World, prepare
+from estbench.errors import EstimatorError
+from estbench.manifold import Manifold
+from tests.helpers import ESTIMATORS
+
+SETTINGS = {"particle": {"size": 50}, "enkf": {"size": 20}}
+
+
+def world(name, rows, scenario="pendulum", **overrides):
+    table = {"type": name, **SETTINGS.get(name, {})}
+    sets = [f"{k.replace('__', '.')}={v}" for k, v in overrides.items()]
+    return World(prepare(scenario, table, None, sets), rows)
+
+
+def keys(*numbers):
+    return np.array(numbers, np.uint64)
+
+
+def drive(w, steps, start=0):
+    out = []
+    for k in range(start, start + steps):
+        u = np.full((w.rows, w.truth._model.nu), 0.3 * np.sin(0.2 * k))
+        w.step(u)
+        bank = w.observer.bank
+        out.append([w.truth.x.copy(), bank.estimate.copy(), bank.cov.copy(), bank.nis.copy()])
+    return out
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_a_row_starts_anew_among_others_as_it_would_alone(name):
+    try:
+        mixed, alone, company = world(name, 3), world(name, 1), world(name, 3)
+    except EstimatorError as error:
+        pytest.skip(str(error))  # not for MuJoCo models
+    for w in (mixed, company):
+        w.reset(np.ones(3, bool), keys(1, 2, 3))
+        drive(w, 5)
+    mixed.reset(np.array([False, True, False]), keys(9))
+    alone.reset(np.ones(1, bool), keys(9))
+    a, b, c = drive(mixed, 6), drive(alone, 6), drive(company, 6)
+    for here, single, rest in zip(a, b, c):
+        np.testing.assert_array_equal(here[0][1], single[0][0])  # truth, to the last bit
+        np.testing.assert_array_equal(here[0][[0, 2]], rest[0][[0, 2]])
+        for x, y, z in zip(here[1:], single[1:], rest[1:]):
+            np.testing.assert_allclose(x[1], y[0], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(x[[0, 2]], z[[0, 2]], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf"])
+def test_channels_of_different_rates_arrive_by_row(name):
+    rates = {"channels__encoder__rate": 50.0, "channels__gyro__rate": 25.0}
+    mixed, alone = world(name, 2, **rates), world(name, 1, **rates)
+    mixed.reset(np.ones(2, bool), keys(1, 2))
+    drive(mixed, 3)
+    mixed.reset(np.array([True, False]), keys(9))  # the rows are out of phase now
+    alone.reset(np.ones(1, bool), keys(9))
+    dofs = []
+    for k in range(8):
+        a, b = drive(mixed, 1, k)[0], drive(alone, 1, k)[0]
+        np.testing.assert_array_equal(a[0][0], b[0][0])
+        for x, y in zip(a[1:], b[1:]):
+            np.testing.assert_allclose(x[0], y[0], atol=1e-12)
+        dofs.append(mixed.observer.bank.dof.tolist())
+    assert dofs == [[0, 4], [1, 0], [0, 1], [4, 0], [0, 4], [1, 0], [0, 1], [4, 0]]
+
+
+def test_rates_above_the_control_rate_are_all_used():
+    w = world("ekf", 1, model__frame_skip=4, channels__encoder__rate=50.0, channels__gyro__rate=100)
+    w.reset(np.ones(1, bool), keys(1))
+    w.step(np.zeros((1, 1)))
+    assert w.observer.bank.dof.tolist() == [2 * 1 + 4 * 3]
+    assert w.truth.tick.tolist() == [4]
+
+
+@pytest.mark.parametrize("scenario", ["pendulum", "quadrotor"])
+def test_the_filter_is_consistent(scenario):
+    w = world("ekf", 150, scenario)
+    w.reset(np.ones(150, bool), np.arange(150, dtype=np.uint64))
+    u = np.repeat(w.setup.plant.u0[None], 150, axis=0)
+    nees = []
+    for _ in range(30):
+        w.step(u)
+        info = w.observer.info(w.truth.x)
+        nees.append(info["nees"])
+        assert info["error"].shape == (150, w.setup.space.n)
+    mean = np.mean(nees, axis=0) / w.setup.space.n
+    assert abs(mean.mean() - 1) < 5 * mean.std() / np.sqrt(150) + 0.05
+    assert not info["diverged"].any()
+
+
+def test_rows_outside_a_mask_stand_still():
+    w = world("ukf", 2)
+    w.reset(np.ones(2, bool), keys(1, 2))
+    drive(w, 2)
+    x, estimate = w.truth.x.copy(), w.observer.bank.estimate.copy()
+    reward, ended, late = w.step(np.zeros((2, 1)), np.array([False, True]))
+    np.testing.assert_array_equal(w.truth.x[0], x[0])
+    np.testing.assert_array_equal(w.observer.bank.estimate[0], estimate[0])
+    assert (w.truth.x[1] != x[1]).all()
+    assert reward[0] == 0
+    assert reward[1] != 0
+    assert w.elapsed.tolist() == [2, 3]
+
+
+class Breaks:
+    """A filter whose second row becomes NaN at the third prediction."""
+
+    def __init__(self, space):
+        self.space = space
+
+    def init(self, mean, cov):
+        return mean, cov, np.zeros(len(mean), int)
+
+    def predict(self, belief, u, t, dt):
+        mean, cov, count = belief
+        mean = mean + 1.0
+        mean[1:] = np.where(count[1:, None] >= 2, np.nan, mean[1:])
+        return mean, cov, count + 1
+
+    def update(self, belief, y, u, t, channels=None, mask=None):
+        raise KeyError("no update")
+
+    def mean(self, belief):
+        return belief[0]
+
+    def cov(self, belief):
+        return belief[1]
+
+
+def test_a_failed_row_keeps_its_last_estimate_says_so_and_can_start_anew():
+    space = Manifold.euclidean(2)
+    bank = FilterBank(Breaks(space), space, {"y": slice(0, 1)}, 2)
+    mean, cov, u = np.zeros((2, 2)), np.repeat(np.eye(2)[None], 2, axis=0), np.zeros((2, 0))
+    bank.reset(np.ones(2, bool), mean, cov)
+    for _ in range(4):
+        bank.begin()
+        bank.predict(u, 0.0, 0.1)
+        bank.settle()
+    info = bank.info(np.zeros((2, 2)))
+    assert info["diverged"].tolist() == [False, True]
+    np.testing.assert_array_equal(info["estimate"], [[4, 4], [2, 2]])
+    assert info["nees"].tolist() == [32.0, np.inf]
+    assert info["nis"].tolist() == [0, 0]
+    bank.reset(np.array([False, True]), mean, cov)
+    bank.predict(u, 0.0, 0.1)
+    bank.settle()
+    np.testing.assert_array_equal(bank.estimate, [[5, 5], [1, 1]])
+    assert not bank.failed.any()
+    with pytest.raises(EstimatorError, match=r"Breaks.update raised KeyError"):
+        bank.update(np.zeros((2, 1)), u, 0.0, ["y"])
+
+
+def test_infos_are_copies():
+    w = world("ekf", 2)
+    w.reset(np.ones(2, bool), keys(1, 2))
+    before = w.observer.info(w.truth.x)
+    kept = {k: v.copy() for k, v in before.items()}
+    drive(w, 3)
+    for k, v in before.items():
+        np.testing.assert_array_equal(v, kept[k])
+
+
+@dataclass(frozen=True)
+class Odd:
+    a: np.ndarray
+    step: int
+
+
+def test_select_refuses_what_rows_share():
+    mask = np.array([True, False])
+    new, old = Odd(np.ones((2, 3)), 0), Odd(np.zeros((2, 3)), 0)
+    np.testing.assert_array_equal(select(mask, new, old).a, [[1, 1, 1], [0, 0, 0]])
+    with pytest.raises(EstimatorError, match=r"belief.step \(int\) is not kept row by row.*dataclass"):
+        select(mask, Odd(new.a, 1), old)
+    assert select(mask, (None, new.a), (old.a, old.a))[0] is None
+    assert set(select(mask, {"a": new.a}, {"a": old.a, "b": old.a})) == {"a"}

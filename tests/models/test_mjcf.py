@@ -1,0 +1,244 @@
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from estbench.errors import ScenarioError
+from estbench.models import mjcf
+from estbench.scenario import AddSensor, bundled
+from tests.helpers import ZOO, zoo_model
+
+CARTPOLE = "estbench:assets/cartpole/cartpole.xml"
+HOPPER = "gymnasium:envs/mujoco/assets/hopper.xml"
+BITS = mujoco.mjtDisableBit
+
+
+def cartpole(**options):
+    return mjcf.compile_model(mjcf.read(CARTPOLE), **options)
+
+
+def sensor(kind, obj="", object_type=None):
+    return {"added": AddSensor(type=kind, object=obj, object_type=object_type)}
+
+
+def test_locate(tmp_path):
+    assert mjcf.locate(CARTPOLE).name == "cartpole.xml"
+    assert mjcf.locate(HOPPER).name == "hopper.xml"
+    path = tmp_path / "robot.xml"
+    path.touch()
+    assert mjcf.locate(str(path)) == path
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("nopackage:a/b.xml", "package 'nopackage' is not installed"),
+        ("gymnasium:nothing.xml", "model.path 'gymnasium:nothing.xml': no file"),
+        ("nothing.xml", "model.path 'nothing.xml': no file"),
+        ("estbench:assets", "no file"),
+    ],
+)
+def test_locate_nothing(path, message):
+    with pytest.raises(ScenarioError, match=message):
+        mjcf.locate(path)
+
+
+@pytest.mark.parametrize("name", sorted(bundled()))
+def test_bundled_models_compile_with_the_flags_the_filters_need(name):
+    path = f"estbench:assets/{bundled()[name].parent.name}"
+    for file in mjcf.locate(f"{path}/scenario.toml").parent.glob("*.xml"):
+        model = mjcf.compile_model(mjcf.read(str(file)))
+        for bit in (BITS.mjDSBL_WARMSTART, BITS.mjDSBL_AUTORESET, BITS.mjDSBL_CLAMPCTRL):
+            assert model.opt.disableflags & bit
+
+
+def test_overrides():
+    settings = {"body_mass.pole": 0.5, "dof_damping.cart": 3.0, "geom_size.pole": [0.02, 0.4, 0.0]}
+    plain, model = cartpole(), cartpole(timestep=0.002, integrator="RK4", settings=settings)
+    assert (plain.opt.timestep, model.opt.timestep) == (0.01, 0.002)
+    assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    assert model.body("pole").mass == 0.5
+    assert model.body("cart").mass == plain.body("cart").mass
+    np.testing.assert_array_equal(model.dof_damping, [3.0, plain.dof_damping[1]])
+    np.testing.assert_array_equal(model.geom("pole").size, [0.02, 0.4, 0.0])
+    # Constants that MuJoCo derives follow: the subtree of the cart weighs what its parts weigh.
+    np.testing.assert_allclose(model.body_subtreemass[model.body("cart").id], 1.5)
+
+
+def test_a_dof_field_covers_the_whole_joint():
+    model = mujoco.MjModel.from_xml_string(ZOO["joints"])
+    before = model.dof_damping.copy()
+    mjcf.assign(model, "dof_damping.wrist", 7.0)
+    mjcf.assign(model, "dof_armature.root", [1, 2, 3, 4, 5, 6])
+    np.testing.assert_array_equal(model.dof_damping, [*before[:2], 7, 7, 7, *before[5:]])
+    np.testing.assert_array_equal(model.dof_armature, [0] * 5 + [1, 2, 3, 4, 5, 6])
+
+
+def test_overrides_do_not_leak_into_the_spec():
+    spec = mjcf.read(CARTPOLE)
+    mjcf.compile_model(spec, timestep=0.5, settings={"body_mass.pole": 9.0})
+    model = mjcf.compile_model(spec)
+    assert model.opt.timestep == 0.01
+    assert model.body("pole").mass == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("body_mas.pole", 1.0, r"truth\.set: no model field 'body_mas' .did you mean 'body_mass'"),
+        ("opt.gravity", 1.0, "no model field 'opt'"),
+        ("body_mass.pol", 1.0, "'body_mass.pol': no body 'pol' .did you mean 'pole'"),
+        ("body_mass", 1.0, "'body_mass': no body ''"),
+        ("dof_damping.crat", 1.0, "no dof 'crat' .did you mean 'cart'"),
+        ("actuator_gear.froce", 1.0, "no actuator 'froce' .did you mean 'force'"),
+        ("site_pos.imo", 1.0, "no site 'imo' .did you mean 'imu'"),
+        ("geom_size.pole", [1.0, 2.0], "'geom_size.pole' takes 3 numbers, got 2"),
+        ("body_mass.pole", [1.0, 2.0], "'body_mass.pole' takes 1 numbers, got 2"),
+    ],
+)
+def test_bad_overrides(key, value, message):
+    with pytest.raises(ScenarioError, match=message):
+        cartpole(settings={key: value}, where="truth")
+
+
+def test_muJoCos_own_delays_and_rates_of_sensors_are_cleared():
+    xml = ZOO["joints"].replace(
+        '<gyro name="gyro" site="imu"/>',
+        '<gyro name="gyro" site="imu" nsample="4" delay="0.008" interval="0.02" noise="0.1"/>',
+    )
+    spec = mujoco.MjSpec.from_string(xml)
+    assert spec.compile().nhistory > 0
+    model = mjcf.compile_model(spec)
+    assert model.nhistory == 0
+    assert model.sensor("gyro").noise == 0.1
+    assert spec.compile().nhistory > 0  # the caller's spec keeps them
+
+
+def test_actuator_delays_are_refused():
+    motor = '<motor name="swinger" joint="swing"'
+    xml = ZOO["joints"].replace(motor, motor + ' nsample="3" delay="0.008"')
+    with pytest.raises(ScenarioError, match=r"actuator 'swinger' has nsample=3.*remove nsample"):
+        mjcf.compile_model(mujoco.MjSpec.from_string(xml))
+
+
+@pytest.mark.parametrize(
+    ("kind", "obj", "object_type", "width"),
+    [
+        ("jointpos", "foot_joint", None, 1),
+        ("jointvel", "rootx", "joint", 1),
+        ("framequat", "torso", "body", 4),
+        ("framepos", "foot_geom", "geom", 3),
+        ("subtreecom", "torso", None, 3),
+        ("clock", "", None, 1),
+        ("e_kinetic", "", None, 1),
+    ],
+)
+def test_sensors_are_added_to_a_gymnasium_model(kind, obj, object_type, width):
+    before = mjcf.compile_model(mjcf.read(HOPPER)).nsensor
+    model = mjcf.compile_model(mjcf.read(HOPPER, sensor(kind, obj, object_type)))
+    assert model.nsensor == before + 1
+    assert model.sensor("added").type[0] == mjcf.SENSOR_TYPES[kind]
+    assert model.sensor("added").dim[0] == width
+    if obj:
+        find = {"jointpos": model.joint, "jointvel": model.joint, "framepos": model.geom}
+        assert model.sensor("added").objid[0] == find.get(kind, model.body)(obj).id
+
+
+def test_site_sensors_need_no_object_type():
+    model = mjcf.compile_model(mjcf.read(CARTPOLE, sensor("velocimeter", "imu")))
+    assert model.sensor("added").objid[0] == model.site("imu").id
+
+
+@pytest.mark.parametrize(
+    ("added", "message"),
+    [
+        (
+            sensor("jointpso", "foot_joint"),
+            r"channels\.added\.add\.type: no sensor type 'jointpso' \(did you mean 'jointpos'",
+        ),
+        (sensor("framepos", "torso", "bodi"), r"channels\.added\.add\.object_type: .* type 'bodi'"),
+    ],
+)
+def test_bad_sensors(added, message):
+    with pytest.raises(ScenarioError, match=message):
+        mjcf.read(HOPPER, added)
+
+
+@pytest.mark.parametrize(
+    ("kind", "obj"), [("jointpos", "knee"), ("gyro", "torso"), ("jointpos", "")]
+)
+def test_a_sensor_on_an_unknown_object(kind, obj):
+    # MjSpec.copy() leaves out, without a word, what refers to nothing.
+    with pytest.raises(ScenarioError, match="added"):
+        mjcf.compile_model(mjcf.read(HOPPER, sensor(kind, obj)))
+
+
+@pytest.mark.parametrize(
+    "typo", ['motor name="direct" joint="hinge"', 'jointvel name="rate" joint="hinge"']
+)
+def test_a_reference_to_nothing_in_the_mjcf(typo, tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(ZOO["activations"].replace(typo, typo.replace("hinge", "hingo")))
+    with pytest.raises(ScenarioError, match=r"hingo|direct|rate"):
+        mjcf.compile_model(mjcf.read(str(path)))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "not xml", "<mujoco><worldbody><body></mujoco>", "<mujoco><nonsense/></mujoco>"]
+)
+def test_bad_mjcf(text, tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        mjcf.read(str(path))
+    assert "robot.xml is not a valid MJCF: " in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_that_does_not_compile():
+    xml = "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>"
+    with pytest.raises(ScenarioError, match=r"^filter: MJCF does not compile: .*mass") as error:
+        mjcf.compile_model(mujoco.MjSpec.from_string(xml), where="filter")
+    assert "\n" not in str(error.value)
+
+
+KEYS = ZOO["activations"].replace(
+    "<sensor>",
+    """<keyframe><key name="a" qpos="1 2" qvel="3 4" act="5 6" ctrl="7 8 9"/>
+    <key name="b" qpos="9 9"/></keyframe><sensor>""",
+)
+
+
+def test_keyframes():
+    model = mujoco.MjModel.from_xml_string(KEYS)
+    for key in (None, "a", 0):
+        x, u = mjcf.keyframe(model, key)
+        np.testing.assert_array_equal(x, [1, 2, 3, 4, 5, 6])
+        np.testing.assert_array_equal(u, [7, 8, 9])
+    u[0] = 0.0
+    assert model.key_ctrl[0, 0] == 7  # the caller's own copy
+    for key in ("b", 1):
+        np.testing.assert_array_equal(mjcf.keyframe(model, key)[0][:2], [9, 9])
+
+
+def test_without_keyframes_the_model_rests_at_qpos0():
+    model = zoo_model("contact")
+    x, u = mjcf.keyframe(model, None)
+    np.testing.assert_array_equal(x, [*model.qpos0, *[0] * 6])
+    assert u.shape == (0,)
+
+
+@pytest.mark.parametrize("key", ["c", 2, -1])
+def test_no_such_keyframe(key):
+    with pytest.raises(ScenarioError, match=f"model.keyframe: no keyframe '{key}'"):
+        mjcf.keyframe(mujoco.MjModel.from_xml_string(KEYS), key)
+
+
+def test_clamp():
+    model = zoo_model("joints")  # lifter is limited to ±1, swinger is free
+    u = np.array([[[-5.0, -5.0], [0.5, 0.5]], [[2.0, 7.0], [-1.0, 0.0]]])
+    expected = [[[-1.0, -5.0], [0.5, 0.5]], [[1.0, 7.0], [-1.0, 0.0]]]
+    np.testing.assert_array_equal(mjcf.clamp(model, u), expected)
+    free = SimpleNamespace(actuator_ctrllimited=np.zeros(2, np.uint8))
+    np.testing.assert_array_equal(mjcf.clamp(free, u), u)

@@ -1,0 +1,215 @@
+import mujoco
+import numpy as np
+import pytest
+from scipy import stats
+
+from estbench import sensors
+from estbench.errors import CovarianceError, DimensionError, ScenarioError
+from estbench.scenario import ChannelSection
+from tests.helpers import zoo_model
+
+FULL_R = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.05]]
+
+
+def build(use=None, frame_skip=1, model=None, **sections):
+    model = zoo_model("joints") if model is None else model
+    given = {name: ChannelSection(**section) for name, section in sections.items()}
+    return sensors.build(model, given, use, frame_skip)
+
+
+def channel(name, **section):
+    channels, _ = build([name], **({name: section} if section else {}))
+    assert [c.name for c in channels] == [name]
+    return channels[0]
+
+
+def model_with(text):
+    body = """<body><joint name="hinge" type="hinge"/><joint name="slide" type="slide"/>
+              <geom size="0.1"/></body>"""
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{body}</worldbody><sensor>{text}</sensor></mujoco>"
+    )
+
+
+# Noise: each test refuses a correct program with a probability below 1e-6.
+
+
+def test_noise_of_a_full_r_is_normal_with_that_covariance():
+    gyro = channel("gyro", cov=FULL_R)
+    np.testing.assert_array_equal(gyro.cov, FULL_R)
+    noise = gyro.noise(1, range(20), 500)
+    assert noise.shape == (500, 20, 3)
+    flat = noise.reshape(-1, 3)
+    d2 = np.einsum("ij,jk,ik->i", flat, np.linalg.inv(FULL_R), flat)
+    total = stats.chi2(3 * len(flat))
+    assert total.ppf(2.5e-8) < d2.sum() < total.ppf(1 - 2.5e-8)
+    assert stats.kstest(d2, stats.chi2(3).cdf).pvalue > 1e-7
+    # Each entry of the sample covariance is N(R_ij, (R_ii R_jj + R_ij²)/count) nearly.
+    R = np.array(FULL_R)
+    sigma = np.sqrt((np.outer(np.diag(R), np.diag(R)) + R**2) / len(flat))
+    assert (np.abs(flat.T @ flat / len(flat) - R) < 6 * sigma).all()
+
+
+def test_noise_is_white_in_time():
+    noise = channel("lift_encoder", noise=1.0).noise(2, range(10), 2000)[..., 0]
+    lag_one = (noise[1:] * noise[:-1]).mean()
+    assert abs(lag_one) < 6 / np.sqrt(noise[1:].size)
+
+
+@pytest.mark.parametrize(("noise", "expected"), [(0.3, [0.3] * 3), ([0.1, 0.2, 0.3],) * 2])
+def test_noise_is_one_std_or_one_an_axis(noise, expected):
+    np.testing.assert_allclose(channel("gyro", noise=noise).cov, np.diag(expected) ** 2)
+
+
+def test_a_quaternion_has_three_axes_of_noise():
+    attitude = channel("attitude", noise=[0.1, 0.2, 0.3])
+    assert attitude.cov.shape == (3, 3)
+    assert (attitude.space.nx, len(attitude.columns)) == (4, 4)
+
+
+def test_the_mjcf_noise_is_the_default_and_the_scenario_wins():
+    model = model_with('<jointpos name="a" joint="hinge" noise="0.25"/>')
+    channels, notices = build(model=model)
+    assert channels[0].cov == 0.25**2
+    assert notices == []
+    assert build(model=model, a={"noise": 0.5})[0][0].cov == 0.5**2
+
+
+def test_a_sensor_without_noise_gets_one_by_its_unit_and_a_notice():
+    model = model_with(
+        '<jointpos name="a" joint="hinge"/><jointvel name="v" joint="slide"/><e_kinetic name="e"/>'
+        '<jointpos name="known" joint="slide" noise="0.5"/>'
+    )
+    channels, notices = build(model=model, e={}, v={"rate": 500})
+    assert [float(np.sqrt(c.cov[0, 0])) for c in channels] == pytest.approx([0.01, 0.02, 0.01, 0.5])
+    assert [n.split(":")[0] for n in notices] == ["a", "v", "e"]
+    assert "0.02 m/s" in notices[1]
+
+
+# Which sensors
+
+
+def test_all_enabled_sensors_in_the_models_order():
+    channels, _ = build(gyro={"enabled": False})
+    assert [c.name for c in channels] == ["lift_encoder", "wrist_quat", "attitude"]
+    chosen, _ = build(["gyro", "attitude"])
+    assert [c.name for c in chosen] == ["attitude", "gyro"]
+
+
+def test_columns_are_where_the_reading_stands():
+    model = zoo_model("joints")
+    for c in build()[0]:
+        start, width = model.sensor(c.name).adr[0], model.sensor(c.name).dim[0]
+        assert c.columns.tolist() == list(range(start, start + width))
+
+
+@pytest.mark.parametrize(
+    ("use", "error", "message"),
+    [
+        (["gyrro"], ScenarioError, r"sensors: no sensor 'gyrro' \(did you mean 'gyro'\?\)"),
+        ([], ScenarioError, "no sensor: the MJCF declares none in use"),
+    ],
+)
+def test_a_bad_choice(use, error, message):
+    with pytest.raises(error, match=message):
+        build(use)
+
+
+@pytest.mark.parametrize(
+    ("section", "error", "message"),
+    [
+        ({"noise": -0.1}, CovarianceError, r"channels\.gyro\.noise is -0\.1; .* a std above 0"),
+        ({"noise": [1, 0, 1]}, CovarianceError, r"channels\.gyro\.noise is 0;"),
+        ({"noise": [1, 1]}, DimensionError, r"gyro\.noise has 2 values; expected 1 or 3"),
+        ({"noise": []}, DimensionError, r"gyro\.noise has 0 values"),
+        ({"cov": [[1]]}, DimensionError, r"gyro\.cov has shape \(1, 1\); expected \(3, 3\)"),
+        ({"cov": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, CovarianceError, r"gyro\.cov \(R\)"),
+        ({"cov": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, CovarianceError, "not symmetric positive"),
+        ({"rate": 100}, ScenarioError, r"gyro: 1/rate = 0\.01 s is not a multiple of .* 0\.004"),
+        ({"rate": 1000}, ScenarioError, r"nearest: 0\.004 s"),
+    ],
+)
+def test_bad_channels(section, error, message):
+    with pytest.raises(error, match=message):
+        build(gyro=section)
+
+
+def test_a_section_for_a_sensor_that_is_not_there():
+    with pytest.raises(ScenarioError, match=r"channels: no sensor 'gyr' \(did you mean 'gyro'"):
+        build(gyr={})
+
+
+def test_all_sensors_disabled():
+    with pytest.raises(ScenarioError, match="no sensor: "):
+        build(["gyro"], gyro={"enabled": False})
+
+
+def test_a_model_without_sensors():
+    with pytest.raises(ScenarioError, match=r"add = \{type = 'jointpos'"):
+        build(model=model_with(""))
+
+
+# When each delivers
+
+
+def fake(name, period):
+    return sensors.Channel(name, 0, None, None, period, None)
+
+
+def schedule(periods, frame_skip=1, duration=0.05, timestep=0.005):
+    channels = [fake(f"p{p}", p) for p in periods]
+    return sensors.schedule(channels, timestep, frame_skip, duration)
+
+
+def test_rate_becomes_a_period_of_physics_steps():
+    assert channel("gyro", rate=250).period == 1  # timestep 4 ms
+    assert channel("gyro", rate=25).period == 10
+    assert build(["gyro"], frame_skip=3)[0][0].period == 3
+
+
+def test_multi_rate_schedule_by_hand():
+    # 5 ms steps, a filter step of 2 of them; channels every 1, 2 and 3 steps; 6 steps in all.
+    instants = schedule([1, 2, 3], frame_skip=2, duration=0.03)
+    assert [i.channels for i in instants] == [
+        ("p1",), ("p1", "p2"), ("p1", "p3"), ("p1", "p2"), ("p1",), ("p1", "p2", "p3"),
+    ]  # fmt: skip
+    assert [i.control for i in instants] == [True, False] * 3
+    assert [i.nstep for i in instants] == [1] * 6
+
+
+def test_a_slow_channel_leaves_instants_without_a_reading():
+    instants = schedule([4], frame_skip=2, duration=0.04)
+    assert [i.channels for i in instants] == [(), ("p4",), (), ("p4",)]
+    assert [i.nstep for i in instants] == [2] * 4
+    assert all(i.control for i in instants)
+
+
+def test_a_rate_that_does_not_fit_the_filter_step_splits_it():
+    instants = schedule([3], frame_skip=2, duration=0.03)
+    assert [(round(i.end / 0.005), i.nstep, i.channels, i.control) for i in instants] == [
+        (2, 2, (), True),
+        (3, 1, ("p3",), True),
+        (4, 1, (), False),
+        (6, 2, ("p3",), True),
+    ]
+
+
+@pytest.mark.parametrize("periods", [[1], [3, 7], [2, 5]])
+@pytest.mark.parametrize("frame_skip", [1, 2, 3])
+def test_instants_join_and_every_reading_is_on_time(periods, frame_skip):
+    instants = schedule(periods, frame_skip, 0.5)
+    ticks = [round(i.end / 0.005) for i in instants]
+    assert instants[0].start == 0.0
+    assert [i.start for i in instants[1:]] == [i.end for i in instants[:-1]]
+    assert np.cumsum([i.nstep for i in instants]).tolist() == ticks
+    assert ticks[-1] == round(100 / frame_skip) * frame_skip
+    for period in periods:
+        delivered = [t for t, i in zip(ticks, instants) if f"p{period}" in i.channels]
+        assert delivered == list(range(period, ticks[-1] + 1, period))
+    asked = [round(i.start / 0.005) for i in instants if i.control]
+    assert asked == list(range(0, ticks[-1], frame_skip))
+
+
+@pytest.mark.parametrize(("duration", "steps"), [(1e-6, 1), (0.05, 10), (0.0524, 10), (0.053, 11)])
+def test_the_duration_is_rounded_to_whole_steps(duration, steps):
+    assert len(schedule([1], duration=duration)) == steps
