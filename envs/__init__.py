@@ -7,8 +7,11 @@ Importing this registers `estbench/Pendulum-v0`, `CartPole-v0`, `Acrobot-v0`, `Q
 from gymnasium.envs.registration import register, registry
 
 from estbench.envs.errors import EnvError
+from estbench.envs.truth_info import RecordTruth
+from estbench.envs.vector_wrapper import VectorEstimatedObservation
+from estbench.envs.wrapper import EstimatedObservation
 
-__all__ = ["EnvError"]
+__all__ = ["EnvError", "EstimatedObservation", "RecordTruth", "VectorEstimatedObservation"]
 
 for _name, _scenario in {
     "Pendulum": "pendulum",

@@ -2,6 +2,7 @@
 
 import copy
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from estbench.envs.errors import EnvError
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.models import mjcf
 from estbench.models.layout import object_name
-from estbench.scenario import ChannelSection
+from estbench.models.rows import engine
 from estbench.sensors import Channel
 
 # MuJoCo attaches these to a site only.
@@ -102,7 +103,10 @@ def adopt(
                 f"inside a step of the environment ({frame_skip}); use a rate of "
                 f"{1 / step:g} Hz over a whole number"
             )
-    return Adopted(copied, tuple(channels), quiet, (*notices, *assumed))
+    if notices:  # the default sensors: one line says it all
+        std = [f"{c.name} ({np.sqrt(c.cov[0, 0]):g} {c.space.units[0]})" for c in channels]
+        assumed = [f"{notices[0]} {', '.join(std)}"]
+    return Adopted(copied, tuple(channels), quiet, tuple(assumed))
 
 
 def _file(env: Any, xml: str | Path | None) -> str:
@@ -120,13 +124,14 @@ def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) ->
     entries = {name: _at_site(add) for name, add in added.items()}
     _check_objects(model, added)
     spec = mjcf.read(path, entries)
-    for element in (*spec.joints, *spec.bodies):
-        element.name = element.name or _given_name(model, element, path)
-    for site, body in {
-        (e.object, a.object) for e, a in zip(entries.values(), added.values()) if e is not a
-    }:
-        spec.body(body).add_site(name=site)
-    compiled = mjcf.compile_model(spec, where="sensors")
+    # What the compiler has to say of this MJCF it said when the environment was made.
+    with warnings.catch_warnings(action="ignore", category=UserWarning), engine():
+        _name_everything(spec, path)
+        for site, body in {
+            (e.object, a.object) for e, a in zip(entries.values(), added.values()) if e is not a
+        }:
+            spec.body(body).add_site(name=site)
+        compiled = mjcf.compile_model(spec, where="sensors")
     for size in ("nq", "nv", "na", "nu", "nbody", "ngeom", "njnt"):
         if getattr(compiled, size) != getattr(model, size):
             raise EnvError(
@@ -136,6 +141,23 @@ def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) ->
             )
     _copy_parameters(model, compiled)
     return compiled
+
+
+def _name_everything(spec: mujoco.MjSpec, path: str) -> None:
+    """Give joints and bodies without a name the one estbench calls them by.
+
+    Their numbers are known after compiling, which `spec` cannot be before its sensors find them.
+    """
+    if all(element.name for element in (*spec.joints, *spec.bodies)):
+        return
+    plain = mjcf.read(path)
+    plain.compile()
+    for here, there, prefix in (
+        (spec.joints, plain.joints, "joint"),
+        (spec.bodies, plain.bodies, "body"),
+    ):
+        for element, compiled in zip(here, there):
+            element.name = element.name or f"{prefix}{compiled.id}"
 
 
 def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -148,6 +170,23 @@ def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
     if model.nsensor:
         out.sensor_history[:], out.sensor_delay[:], out.sensor_interval[:] = 0, 0.0, 0.0
     _set_flags(out)
+    return out
+
+
+def altered(
+    model: mujoco.MjModel, settings: Mapping[str, float | Sequence[float]], where: str
+) -> mujoco.MjModel:
+    """A copy with `field.object` = value settings applied, or the model itself without any.
+
+    Raises:
+        ScenarioError: a setting names nothing in the model.
+    """
+    if not settings:
+        return model
+    out = copy.copy(model)
+    for key, value in settings.items():
+        mjcf.assign(out, key, value, where)
+    mujoco.mj_setConst(out, mujoco.MjData(out))
     return out
 
 
@@ -186,21 +225,15 @@ def _at_site(add: Any) -> Any:
     return add
 
 
-def _check_objects(model: mujoco.MjModel, added: Mapping[str, ChannelSection | Any]) -> None:
+def _check_objects(model: mujoco.MjModel, added: Mapping[str, Any]) -> None:
+    """Raise where a sensor is to be added at a joint, body or site that is not there."""
+    counts = {"joint": model.njnt, "body": model.nbody, "site": model.nsite}
     for name, add in added.items():
-        for kind in ("joint", "body", "site", "geom"):
-            wanted = add.object_type or ("joint" if add.type.startswith("joint") else "site")
-            if wanted.removeprefix("x") != kind:
-                continue
-            count = {"joint": model.njnt, "body": model.nbody, "site": model.nsite,
-                     "geom": model.ngeom}[kind]  # fmt: skip
+        guess = "joint" if add.type.startswith(("joint", "ball")) else "site"
+        kind = (add.object_type or guess).removeprefix("x")
+        if kind in counts:
             enum = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-            names = [object_name(model, enum, i, kind) for i in range(count)]
+            names = [object_name(model, enum, i, kind) for i in range(counts[kind])]
             if add.object not in names:
                 hint = did_you_mean(add.object, names)
                 raise ScenarioError(f"sensors.{name}: the model has no {kind} '{add.object}'{hint}")
-
-
-def _given_name(model: mujoco.MjModel, element: Any, path: str) -> str:
-    """The name that estbench gives to an element without one."""
-    raise NotImplementedError

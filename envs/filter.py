@@ -54,7 +54,7 @@ class FilterBank:
         self.estimate = np.zeros((rows, space.nx))
         self.cov = np.zeros((rows, space.n, space.n))
         self.failed = np.zeros(rows, bool)
-        self._clear()
+        self.begin()
 
     def reset(
         self, mask: Mask, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
@@ -71,7 +71,7 @@ class FilterBank:
         fresh = self._guard("init", lambda: self.estimator.init(mean, cov, **arguments))
         self._merge(mask, fresh)
         self.estimate[mask], self.cov[mask], self.failed[mask] = mean[mask], cov[mask], False
-        self._clear()
+        self.innovation[mask], self.nis[mask], self.dof[mask] = 0.0, 0.0, 0
 
     def predict(self, u: Array, t: float, dt: float, mask: Mask | None = None) -> None:
         """Every row, or those of a mask, from t to t + dt (s) under u `(row, nu)`."""
@@ -112,7 +112,8 @@ class FilterBank:
 
     def begin(self) -> None:
         """Forget the innovations of the last step."""
-        self._clear()
+        self.innovation = np.zeros((self.rows, self._width))
+        self.nis, self.dof = np.zeros(self.rows), np.zeros(self.rows, np.int64)
 
     def settle(self) -> None:
         """Take mean and covariance from the belief after the updates of a step."""
@@ -153,10 +154,6 @@ class FilterBank:
             "innovation": np.nan_to_num(self.innovation),
             "diverged": self.failed | far,
         }
-
-    def _clear(self) -> None:
-        self.innovation = np.zeros((self.rows, self._width))
-        self.nis, self.dof = np.zeros(self.rows), np.zeros(self.rows, np.int64)
 
     def _merge(self, mask: Mask | None, new: Any) -> None:
         if self.belief is not None and mask is not None and not mask.all():

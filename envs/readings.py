@@ -1,6 +1,6 @@
 """What the sensors of many robots say, each robot at its own time since its reset."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import gcd
 
@@ -41,6 +41,7 @@ class Readings:
         channels: sensors in use.
         rows: how many robots.
         nthread: threads of the batch.
+        quiet: names of channels that read without noise, whatever R is believed.
 
     Attributes:
         space: the manifold of all channels' readings, one after the other.
@@ -50,9 +51,14 @@ class Readings:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, channels: Sequence[Channel], rows: int, nthread: int = 1
+        self,
+        model: mujoco.MjModel,
+        channels: Sequence[Channel],
+        rows: int,
+        nthread: int = 1,
+        quiet: Collection[str] = (),
     ):
-        self.channels = tuple(channels)
+        self.channels, self._quiet = tuple(channels), frozenset(quiet)
         self.space = layout.sensor_space(model, [c.index for c in channels])
         self.slots: dict[str, slice] = {}
         start = 0
@@ -161,7 +167,8 @@ class Readings:
         factor = np.zeros((sum(widths_t), sum(widths_t)))
         at = 0
         for c, width in zip(chosen, widths_t):
-            factor[at : at + width, at : at + width] = np.linalg.cholesky(c.cov)
+            if c.name not in self._quiet:
+                factor[at : at + width, at : at + width] = np.linalg.cholesky(c.cov)
             at += width
         diagonal = np.diagonal(factor)
         indices = [c.index for c in chosen]

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ from pydantic import ValidationError
 
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.models.layout import BALL, FREE, object_name
-from estbench.naming import fnmatchcase
 from estbench.scenario import ChannelSection
 
 Table = dict[str, dict[str, Any]]
@@ -86,7 +86,7 @@ def sections(
         table: Mapping[str, Any] = default(model)
         if not table:
             raise ScenarioError("the model has no joint: there is nothing to measure or estimate")
-        return _validated(table), list(table), [_default_line(table)]
+        return _validated(table), list(table), ["no sensors given and none in the model; using"]
     if isinstance(sensors, str | Path):
         data = _read(Path(sensors))
         table = data.get("channels", {})
@@ -108,12 +108,6 @@ def _joints(model: mujoco.MjModel) -> list[tuple[str, int]]:
 def _entry(sensor: str, name: str, kind: str, noise: float | None) -> dict[str, Any]:
     entry: dict[str, Any] = {"add": {"type": sensor, "object": name, "object_type": kind}}
     return entry if noise is None else {**entry, "noise": noise}
-
-
-def _default_line(table: Mapping[str, Any]) -> str:
-    return (
-        "no sensors given and none in the model: using " + ", ".join(table) + " with default noise"
-    )
 
 
 def _validated(table: Mapping[str, Any]) -> dict[str, ChannelSection]:

@@ -1,6 +1,7 @@
 """Truth, task, sensors and filters of many robots: the core of the native environments."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,16 @@ class World:
     def elapsed(self) -> NDArray[np.int64]:
         """Steps of the environment since the reset `(row,)`."""
         return self.truth.tick // self.setup.plant.nstep
+
+    def limit(self, steps: int) -> None:
+        """Another horizon, in steps of the environment.
+
+        Raises:
+            EnvError: it is not positive.
+        """
+        if steps < 1:
+            raise EnvError(f"max_episode_steps is {steps}; use at least 1")
+        self.task = replace(self.task, steps=int(steps))
 
     def reset(self, mask: Mask, keys: Keys) -> None:
         """Start the rows of a mask anew, with random keys `(mask.sum(),)`."""

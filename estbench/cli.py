@@ -1,5 +1,6 @@
 """The command line: `estbench run | list | check`."""
 
+import io
 import json
 import os
 import sys
@@ -127,6 +128,8 @@ def _progress(total: int) -> Iterator[Callable[[int, int], None]]:
 
 def main() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, never a traceback."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # an ASCII terminal has no σ
     try:
         code = app(standalone_mode=False)
     except EstbenchError as error:

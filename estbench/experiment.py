@@ -190,8 +190,8 @@ def traced(
         keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
         try:
             traces = run_filter(
-                prepared.estimator(label), prepared.space, prior, source,
-                keys=keys, keep_cov=keep_cov, stop=stop,
+                prepared.estimator(label), prepared.space, prior, source, prepared.channel_spaces,
+                delays=prepared.delays(label), keys=keys, keep_cov=keep_cov, stop=stop,
             )  # fmt: skip
         except EstbenchError:
             raise

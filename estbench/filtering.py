@@ -2,23 +2,29 @@
 
 An estimator is driven the same way whether the truth was recorded beforehand (`Recorded`) or is
 stepped beside it because the controller sees the estimate (`Live`).
+
+A late reading is fused exactly by going back: the belief before the update at the instant it belongs
+to is taken from memory, and everything received since is replayed (Bar-Shalom, Li & Kirubarajan
+2001, sec. 6.4, call it the optimal treatment of out-of-sequence measurements).
 """
 
 import inspect
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.controllers import Controller
 from estbench.errors import DimensionError
-from estbench.estimators.base import Estimator, Fault, Innovation
+from estbench.estimators.base import Estimator, Fault
+from estbench.inbox import Inbox
 from estbench.linalg import quadratic_form
 from estbench.manifold import Manifold
-from estbench.sensors import Instant
+from estbench.readings import Delivery
+from estbench.timing import Instant
 from estbench.truth import Simulator, Trajectory, finite
 
 Array = NDArray[np.float64]
@@ -34,7 +40,7 @@ class Source(Protocol):
         """U `(run, nu)` held up to the end of instant k."""
         ...
 
-    def advance(self, k: int, u: Array) -> tuple[Array, Array | None]:
+    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
         """True state `(run, nx)` at the end of instant k and what arrives then."""
         ...
 
@@ -51,9 +57,9 @@ class Recorded:
         """The recorded control."""
         return self._trajectory.u[k]
 
-    def advance(self, k: int, u: Array) -> tuple[Array, Array | None]:
-        """The recorded state and measurement."""
-        return self._trajectory.x[k + 1], self._trajectory.y[k]
+    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
+        """The recorded state and readings."""
+        return self._trajectory.x[k + 1], self._trajectory.deliveries[k]
 
 
 class Live:
@@ -73,10 +79,27 @@ class Live:
             self._u = self._controller(step, instant.start, finite(estimate, self.x0))
         return self._u
 
-    def advance(self, k: int, u: Array) -> tuple[Array, Array | None]:
+    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
         """Step the robot."""
-        self._x, y = self._simulator.step(k, self._x, u)
-        return self._x, y
+        self._x, arrived = self._simulator.step(k, self._x, u)
+        return self._x, arrived
+
+
+@dataclass(frozen=True)
+class Delays:
+    """What a filter does about late readings.
+
+    Attributes:
+        handling: `exact` goes back and replays, `naive` fuses a reading as if it were current.
+        window: how far exact handling can go back, in physics steps; an older reading is counted
+            and not fused.
+        believed: channel -> latency that the filter assumes, in physics steps; a channel that is
+            not listed carries the time it was taken.
+    """
+
+    handling: Literal["exact", "naive"] = "exact"
+    window: int = 0
+    believed: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +117,7 @@ class Traces:
         lag_one: per run, the mean over its updates of ν̃ₖ·ν̃ₖ₋₁/m with whitened innovations ν̃.
         fault: `Fault` a run.
         fault_step: index of the instant at which it failed, -1 for none.
+        late: per run, readings that came after the window and were not fused.
         cpu_time: seconds of one core spent in predict and update, all runs together.
         cov: P `(K + 1, run, n, n)` when asked for, else None.
     """
@@ -108,6 +132,7 @@ class Traces:
     lag_one: Array
     fault: NDArray[np.uint8]
     fault_step: NDArray[np.int64]
+    late: NDArray[np.int64]
     cpu_time: float
     cov: Array | None = None
 
@@ -117,7 +142,9 @@ def run_filter(
     space: Manifold,
     prior: tuple[Array, Array],
     source: Source,
+    channels: Mapping[str, Manifold],
     *,
+    delays: Delays | None = None,
     keys: NDArray[np.uint64] | None = None,
     keep_cov: bool = False,
     stop: Callable[[], bool] = lambda: False,
@@ -128,7 +155,9 @@ def run_filter(
         estimator: any object of the protocol.
         space: the state space of truth and estimate.
         prior: x̂₀ `(run, nx)` and P₀ `(run, n, n)`.
-        source: truth, controls, measurements.
+        source: truth, controls, readings.
+        channels: channel -> the manifold of its readings, in the measurement's order.
+        delays: what to do about late readings.
         keys: a random key a run for estimators whose `init` takes `keys`.
         keep_cov: whether to record full covariances.
         stop: asked at every instant; True ends the loop and returns None.
@@ -136,79 +165,194 @@ def run_filter(
     Raises:
         DimensionError: the estimator's mean or covariance has the wrong shape.
     """
-    clock = time.thread_time
     mean0, cov0 = prior
-    count, runs, n = len(source.instants), len(mean0), space.n
-    began = clock()
+    began = time.thread_time()
     random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
     belief = estimator.init(mean0, cov0, **({"keys": keys} if random else {}))
-    cpu_time = clock() - began
-    truth = np.empty((count + 1, runs, space.nx))
-    mean = np.empty_like(truth)
-    error, std = (np.empty((count + 1, runs, n)) for _ in range(2))
-    nees = np.empty((count + 1, runs))
-    cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
-    nis, dof = np.full((count, runs), np.nan), np.zeros((count, runs), np.int64)
-    fault, fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
-    whiteness = _LagOne(runs)
-
-    def record(index: int, x: Array, belief: Any) -> None:
-        m, P = estimator.mean(belief), estimator.cov(belief)
-        if m.shape != (runs, space.nx) or P.shape != (runs, n, n):
-            raise DimensionError(
-                f"{type(estimator).__name__}: mean has shape {m.shape} and cov {P.shape}; expected "
-                f"{(runs, space.nx)} and {(runs, n, n)}"
-            )
-        truth[index], mean[index] = x, m
-        error[index] = space.minus(x, m)
-        variance = np.diagonal(P, axis1=-2, axis2=-1)
-        std[index] = np.sqrt(np.where(variance > 0, variance, np.nan))
-        nees[index] = quadratic_form(P, error[index])
-        if cov is not None:
-            cov[index] = P
-        broken = ~np.isfinite(nees[index])
-        if broken.any():
-            reason = getattr(belief, "fault", None)
-            reason = np.full(runs, Fault.STATE) if reason is None else reason
-            new = broken & (fault == Fault.NONE)
-            indefinite = np.isfinite(P).all(axis=(-2, -1)) & np.isfinite(m).all(axis=-1)
-            code = np.where(reason > 0, reason, np.where(indefinite, Fault.COVARIANCE, Fault.STATE))
-            code = np.where(np.isfinite(x).all(axis=-1), code, Fault.TRUTH)
-            fault[new], fault_step[new] = code[new], index
-
+    recorder = _Recorder(estimator, space, len(source.instants), len(mean0), keep_cov)
+    fusion = _Fusion(estimator, source.instants, Inbox(channels), delays or Delays(), len(mean0))
+    cpu_time = time.thread_time() - began
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        record(0, source.x0, belief)
-        for k, instant in enumerate(source.instants):
+        recorder.add(0, source.x0, belief)
+        for k in range(len(source.instants)):
             if stop():
                 return None
-            u = source.control(k, mean[k])
-            x, y = source.advance(k, u)
-            began = clock()
-            belief = estimator.predict(belief, u, instant.start, instant.end - instant.start)
-            if y is not None:
-                belief, innovation = estimator.update(belief, y, u, instant.end, instant.channels)
-                nis[k], dof[k] = innovation.nis, innovation.dof
-                whiteness.add(instant.channels, innovation)
-            cpu_time += clock() - began
-            record(k + 1, x, belief)
-    return Traces(
-        truth, mean, error, std, nees, nis, dof, whiteness.mean(), fault, fault_step, cpu_time, cov
-    )
+            u = source.control(k, recorder.mean[k])
+            x, arrived = source.advance(k, u)
+            began = time.thread_time()
+            belief = fusion.step(k, belief, u, arrived)
+            cpu_time += time.thread_time() - began
+            recorder.add(k + 1, x, belief)
+    return recorder.traces(fusion, cpu_time)
+
+
+class _Fusion:
+    """The belief at each instant given everything that has arrived by then."""
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        instants: Sequence[Instant],
+        inbox: Inbox,
+        delays: Delays,
+        runs: int,
+    ):
+        self._estimator, self._instants, self._inbox, self._delays = (
+            estimator, instants, inbox, delays,
+        )  # fmt: skip
+        self._ticks = np.array([i.tick for i in instants])
+        self._memory = delays.window > 0 and delays.handling == "exact"
+        self._priors: dict[int, Any] = {}
+        self._controls: dict[int, Array] = {}
+        self.nis = np.full((len(instants), runs), np.nan)
+        self.dof = np.zeros((len(instants), runs), np.int64)
+        self.late = np.zeros(runs, np.int64)
+        self.whiteness = _LagOne(runs)
+
+    def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
+        """The belief at the end of instant k, given that at its start."""
+        first = k
+        for delivery in arrived:
+            instant = self._place(k, delivery)
+            if instant is None:
+                self.late += 1 if delivery.mask is None else delivery.mask
+                continue
+            self._inbox.add(instant, delivery)
+            first = min(first, instant)
+        belief = self._predict(k, belief, u) if first == k else self._priors[first]
+        if self._memory:
+            self._controls[k] = u
+        for j in range(first, k + 1):
+            if j > first:
+                belief = self._predict(j, belief, self._controls[j])
+            if self._memory:
+                self._priors[j] = belief
+            belief = self._update(j, belief, self._controls[j] if self._memory else u)
+        self._forget(k)
+        return belief
+
+    def _place(self, k: int, delivery: Delivery) -> int | None:
+        """The instant at which the filter fuses a reading that arrives at k, None if too late."""
+        if self._delays.handling == "naive":
+            return k
+        instant = delivery.due
+        if delivery.channel in self._delays.believed:
+            tick = self._ticks[k] - self._delays.believed[delivery.channel]
+            instant = int(np.searchsorted(self._ticks, tick, "right")) - 1
+        if instant < 0 or self._ticks[k] - self._ticks[instant] > self._delays.window:
+            return None
+        return min(instant, k)
+
+    def _predict(self, k: int, belief: Any, u: Array) -> Any:
+        instant = self._instants[k]
+        return self._estimator.predict(belief, u, instant.start, instant.end - instant.start)
+
+    def _update(self, k: int, belief: Any, u: Array) -> Any:
+        joints = self._inbox.at(k)
+        if joints:
+            self.nis[k], self.dof[k] = 0.0, 0
+        for layer, joint in enumerate(joints):
+            masked = {} if joint.mask is None else {"mask": joint.mask}
+            belief, innovation = self._estimator.update(
+                belief, joint.y, u, self._instants[k].end, joint.channels, **masked
+            )
+            self.nis[k] += innovation.nis
+            self.dof[k] += innovation.dof
+            self.whiteness.put(k, layer, joint.channels, innovation.white)
+        if joints:
+            self.nis[k, self.dof[k] == 0] = np.nan
+        return belief
+
+    def _forget(self, k: int) -> None:
+        """Drop what no reading can reach any more."""
+        if not self._memory:
+            self._inbox.forget(k + 1)
+            self.whiteness.settle(k + 1)
+            return
+        oldest = int(np.searchsorted(self._ticks, self._ticks[k] - self._delays.window))
+        self._inbox.forget(oldest)
+        self.whiteness.settle(oldest)
+        for j in [j for j in self._priors if j < oldest]:
+            del self._priors[j], self._controls[j]
 
 
 class _LagOne:
-    """Running mean of the product of successive whitened innovations of the same channels."""
+    """Mean product of successive whitened innovations of the same channels, once they are final."""
 
     def __init__(self, runs: int):
+        self._open: dict[tuple[int, int], tuple[tuple[str, ...], Array]] = {}
         self._last: dict[tuple[str, ...], Array] = {}
         self._sum, self._count = np.zeros(runs), 0
 
-    def add(self, channels: tuple[str, ...], innovation: Innovation) -> None:
-        white = innovation.white
-        if white.shape[-1] and channels in self._last:
-            self._sum += (white * self._last[channels]).mean(axis=-1)
-            self._count += 1
-        self._last[channels] = white
+    def put(self, instant: int, layer: int, channels: tuple[str, ...], white: Array) -> None:
+        """Note an innovation; a replay of the same instant replaces it."""
+        self._open[instant, layer] = (channels, white)
+
+    def settle(self, before: int) -> None:
+        """Count the innovations of instants that no replay can change any more."""
+        for key in sorted(k for k in self._open if k[0] < before):
+            channels, white = self._open.pop(key)
+            if white.shape[-1] and channels in self._last:
+                self._sum += (white * self._last[channels]).mean(axis=-1)
+                self._count += 1
+            self._last[channels] = white
 
     def mean(self) -> Array:
+        """The correlation `(run,)`, NaN when there were fewer than two innovations."""
+        self.settle(np.iinfo(np.int64).max)
         return self._sum / self._count if self._count else np.full(len(self._sum), np.nan)
+
+
+class _Recorder:
+    """The traces of one estimator as they grow."""
+
+    def __init__(
+        self, estimator: Estimator, space: Manifold, count: int, runs: int, keep_cov: bool
+    ):
+        n = space.n
+        self._estimator, self._space = estimator, space
+        self.truth, self.mean = (np.empty((count + 1, runs, space.nx)) for _ in range(2))
+        self._error, self._std = (np.empty((count + 1, runs, n)) for _ in range(2))
+        self._nees = np.empty((count + 1, runs))
+        self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
+        self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
+
+    def add(self, index: int, x: Array, belief: Any) -> None:
+        """Compare the belief with the true state at the index-th time."""
+        runs, n = self._nees.shape[1], self._space.n
+        m, P = self._estimator.mean(belief), self._estimator.cov(belief)
+        if m.shape != (runs, self._space.nx) or P.shape != (runs, n, n):
+            raise DimensionError(
+                f"{type(self._estimator).__name__}: mean has shape {m.shape} and cov {P.shape}; "
+                f"expected {(runs, self._space.nx)} and {(runs, n, n)}"
+            )
+        self.truth[index], self.mean[index] = x, m
+        self._error[index] = self._space.minus(x, m)
+        variance = np.diagonal(P, axis1=-2, axis2=-1)
+        self._std[index] = np.sqrt(np.where(variance > 0, variance, np.nan))
+        self._nees[index] = quadratic_form(P, self._error[index])
+        if self._cov is not None:
+            self._cov[index] = P
+        broken = ~np.isfinite(self._nees[index])
+        if broken.any():
+            self._mark(index, broken, x, m, P, getattr(belief, "fault", None))
+
+    def _mark(
+        self, index: int, broken: Array, x: Array, m: Array, P: Array, reason: Array | None
+    ) -> None:
+        """Note when and why each broken run failed first."""
+        new = broken & (self._fault == Fault.NONE)
+        finite = np.isfinite(P).all(axis=(-2, -1)) & np.isfinite(m).all(axis=-1)
+        code = np.where(finite, Fault.COVARIANCE, Fault.STATE)
+        if reason is not None:
+            code = np.where(reason > 0, reason, code)
+        code = np.where(np.isfinite(x).all(axis=-1), code, Fault.TRUTH)
+        self._fault[new], self._fault_step[new] = code[new], index
+
+    def traces(self, fusion: _Fusion, cpu_time: float) -> Traces:
+        """What was recorded."""
+        return Traces(
+            truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
+            nis=fusion.nis, dof=fusion.dof, lag_one=fusion.whiteness.mean(), fault=self._fault,
+            fault_step=self._fault_step, late=fusion.late, cpu_time=cpu_time, cov=self._cov,
+        )  # fmt: skip

@@ -3,7 +3,7 @@
 A generator with a state would tie run i's numbers to the runs drawn before it. Here every number is
 a hash of (key of the run, counter of the call, purpose, index), all rows at once in `uint64`.
 
-Source: the output function of SplitMix64 (Steele, Lea & Flood 2014, fig. 17), used as a
+Source: the output function of SplitMix64 (Steele, Lea & Flood 2014), used as a
 counter-based generator in the sense of Salmon et al. 2011, "Parallel random numbers: as easy as 1,
 2, 3": the stream of (key, counter, purpose) starts at a hash of the three.
 """

@@ -17,6 +17,14 @@ from estbench.errors import ScenarioError, did_you_mean
 
 PerName = float | list[float] | dict[str, float]
 Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, lt=1)]
+
+
+Schedule = Annotated[
+    list[tuple[Positive, Positive]],
+    Field(min_length=1, description="rows (until s, factor): the factor holds up to that time"),
+]
 
 
 class Section(BaseModel):
@@ -54,6 +62,17 @@ class TruthSection(Section):
     draw: dict[str, Draw] = Field(default_factory=dict, description="'field.object' = {std...}")
 
 
+class BelievedChannelSection(Section):
+    """What the filter believes of a channel, where it differs from the truth."""
+
+    noise: float | list[float] | None = Field(None, description="std per axis")
+    cov: list[list[float]] | None = Field(None, description="full R")
+    latency: NonNegative | None = Field(
+        None, description="s; default: readings carry the time they were taken"
+    )
+    follow_schedule: bool = Field(True, description="whether the filter knows the noise schedule")
+
+
 class FilterSection(Section):
     """Where the filter's belief differs from the truth."""
 
@@ -63,6 +82,13 @@ class FilterSection(Section):
     set: dict[str, float | list[float]] = Field(default_factory=dict)
     process_noise_scale: Positive = Field(1.0, description="filter's Q over the true Q")
     measurement_noise_scale: Positive = Field(1.0, description="filter's R over the true R")
+    channels: dict[str, BelievedChannelSection] = Field(default_factory=dict)
+    delays: Literal["exact", "naive"] = Field(
+        "exact", description="late readings: roll back and replay, or fuse as if current"
+    )
+    window: Positive | None = Field(
+        None, description="s that exact handling can go back; default the longest latency"
+    )
     differences: Literal["forward", "centered"] = "forward"
     step: Annotated[float, Field(gt=0, lt=1)] = Field(1e-6, description="difference step")
 
@@ -95,6 +121,7 @@ class ProcessNoiseSection(Section):
         "default 0.01 on what it can drive (additive: the velocities)",
     )
     matrix: list[list[float]] | None = Field(None, description="full Q_s in place of density")
+    schedule: Schedule | None = Field(None, description="rows (until s, factor on Q_s)")
 
 
 class AddSensor(Section):
@@ -105,12 +132,51 @@ class AddSensor(Section):
     object_type: str | None = Field(None, description="joint, site, body, geom, ...; guessed")
 
 
+PerAxis = NonNegative | list[NonNegative]
+
+
 class ChannelSection(Section):
-    """What a sensor does to the true reading."""
+    """What a sensor does to the true reading; units are those of its reading."""
 
     noise: float | list[float] | None = Field(None, description="std per axis; default MJCF noise")
+    noise_density: Positive | None = Field(
+        None, description="datasheet: unit/√Hz; the std is this times √rate"
+    )
     cov: list[list[float]] | None = Field(None, description="full R in place of noise")
-    rate: Positive | None = Field(None, description="Hz; default every filter step")
+    schedule: Schedule | None = Field(None, description="rows (until s, factor on the std)")
+    bias: PerAxis = Field(0.0, description="std of a constant drawn once a run")
+    bias_walk: PerAxis = Field(0.0, description="random walk, unit/√s")
+    drift: PerAxis = Field(0.0, description="std of a Gauss-Markov drift")
+    drift_time: Positive = Field(100.0, description="its correlation time, s")
+    bias_instability: Positive | None = Field(
+        None, description="datasheet: floor of the Allan deviation, made by a Gauss-Markov drift"
+    )
+    scale_factor: PerAxis = Field(0.0, description="std of the relative gain error")
+    misalignment: NonNegative = Field(0.0, description="std of the rotation of 3 axes, rad")
+    quantization: PerAxis = Field(0.0, description="step")
+    counts_per_revolution: Positive | None = Field(
+        None, description="datasheet: an encoder's resolution; the step is 2π over this"
+    )
+    cutoff: Positive | None = Field(None, description="saturation; default the MJCF's cutoff")
+    deadband: PerAxis = Field(0.0, description="readings below this in size become zero")
+    outlier_probability: Probability = 0.0
+    outlier_scale: Annotated[float, Field(ge=1)] = Field(10.0, description="noise times this")
+    student_dof: Annotated[float, Field(gt=2)] | None = Field(
+        None, description="Student-t noise of covariance R with these degrees of freedom"
+    )
+    dropout: Probability = Field(0.0, description="share of readings lost")
+    dropout_length: Annotated[float, Field(ge=1)] = Field(
+        1.0, description="mean length of a gap, readings; 1 = independent"
+    )
+    stuck: Probability = Field(0.0, description="chance a reading of a stuck-at fault to begin")
+    stuck_length: Annotated[float, Field(ge=1)] = Field(10.0, description="its mean, readings")
+    rate: Positive | None = Field(
+        None, description="Hz; default the MJCF's interval, else every step"
+    )
+    phase: NonNegative | None = Field(None, description="s before the first reading")
+    jitter: NonNegative = Field(0.0, description="sampling time off by up to ± this, s, uniform")
+    latency: NonNegative | None = Field(None, description="s from sampling to arrival")
+    latency_std: NonNegative = Field(0.0, description="random latency: mean `latency`, this std, s")
     enabled: bool = True
     add: AddSensor | None = None
 

@@ -2,16 +2,23 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import controllers, sensors
-from estbench.errors import CovarianceError, DimensionError, ScenarioError
+from estbench import controllers, sensors, timing
+from estbench.errors import (
+    CovarianceError,
+    DimensionError,
+    EstimatorError,
+    ScenarioError,
+    did_you_mean,
+)
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator
+from estbench.filtering import Delays
 from estbench.linalg import is_positive_definite
 from estbench.manifold import Manifold
 from estbench.models import layout, mjcf
@@ -20,8 +27,16 @@ from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
 from estbench.naming import expand
 from estbench.records import RESERVED
-from estbench.scenario import InitialSection, ProcessNoiseSection, Scenario
-from estbench.sensors import Channel, Instant
+from estbench.scenario import (
+    BelievedChannelSection,
+    FilterSection,
+    InitialSection,
+    ProcessNoiseSection,
+    Scenario,
+)
+from estbench.schedules import Schedule
+from estbench.sensors import Channel
+from estbench.timing import Instant
 from estbench.truth import Simulator
 
 Array = NDArray[np.float64]
@@ -78,9 +93,41 @@ class Setup:
             nthread,
         )
 
+    @property
+    def channel_spaces(self) -> dict[str, Manifold]:
+        """Channel -> the manifold of its readings, in the measurement's order."""
+        return {c.name: c.space for c in self.channels}
+
     def estimator(self, label: str) -> Estimator:
         """The estimator of that label on a fresh model."""
-        return registry.create(label, self.scenario.estimators[label], self.model())
+        settings = dict(self.scenario.estimators[label])
+        settings.pop("delays", None)
+        return registry.create(label, settings, self.model())
+
+    def delays(self, label: str) -> Delays:
+        """What the estimator of that label does about late readings."""
+        section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
+        handling = self.scenario.estimators[label].get("delays", section.delays)
+        if handling not in ("exact", "naive"):
+            raise EstimatorError(f"{label}: delays is {handling!r}; use 'exact' or 'naive'")
+        believed = {
+            name: round(channel.latency / timestep)
+            for name, channel in section.channels.items()
+            if channel.latency is not None
+        }
+        return Delays(handling, self.window, believed)
+
+    @property
+    def window(self) -> int:
+        """How far exact delay handling can go back, in physics steps."""
+        section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
+        if section.window is not None:
+            return int(section.window / timestep + 1e-9)
+        late = [c.timing.longest for c in self.channels]
+        late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
+        # A reading is fused at the first instant after its arrival, up to one interval later.
+        slack = max(i.nstep for i in self.instants) if any(late) else 0
+        return max(late, default=0) + slack
 
     def simulator(self, runs: Sequence[int]) -> Simulator:
         """The true robot for some runs."""
@@ -142,13 +189,19 @@ def build(scenario: Scenario) -> Setup:
             f"filter.path: states {', '.join(layout.state_space(believed).names)} with "
             f"{believed.nu} controls; expected {', '.join(space.names)} with {truth.nu}"
         )
+    duration = scenario.simulation.duration
     channels, notices = sensors.build(
-        truth, scenario.channels, scenario.sensors, section.frame_skip
+        truth,
+        scenario.channels,
+        scenario.sensors,
+        section.frame_skip,
+        duration,
+        _native_timing(spec, truth),
     )
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
     mean, cov = _initial(scenario.initial, truth, space, x0)
-    instants = sensors.schedule(
-        channels, truth.opt.timestep, section.frame_skip, scenario.simulation.duration
+    instants = timing.instants(
+        [(c.name, c.timing) for c in channels], truth.opt.timestep, section.frame_skip, duration
     )
     burn_in, end = scenario.consistency.burn_in, instants[-1].end
     if burn_in >= end:
@@ -158,13 +211,13 @@ def build(scenario: Scenario) -> Setup:
         )
     for dt in {round(i.end - i.start, 12) for i in instants}:
         whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
-    disturbance = _disturbance(scenario.process_noise, truth, space, notices)
+    disturbance = _disturbance(scenario.process_noise, truth, space, duration, notices)
     _note_defaults(scenario, truth, notices)
     setup = Setup(
         scenario=scenario,
         plant=controllers.Plant(truth, space, x0, u0, section.frame_skip),
         filter_model=believed,
-        filter_channels=_believed_channels(believed, channels, belief.measurement_noise_scale),
+        filter_channels=_believed_channels(believed, channels, belief),
         channels=tuple(channels),
         instants=tuple(instants),
         disturbance=disturbance,
@@ -180,6 +233,8 @@ def build(scenario: Scenario) -> Setup:
                 f"digits, '.', '-', '+' or '_', but not {', '.join(sorted(RESERVED))}"
             )
         setup.estimator(label)
+        setup.delays(label)
+    _check_window(setup)
     for key in scenario.truth.draw:
         mjcf.parameter(truth, key, "truth.draw")
     setup.controller([0])
@@ -187,7 +242,11 @@ def build(scenario: Scenario) -> Setup:
 
 
 def _disturbance(
-    section: ProcessNoiseSection, model: mujoco.MjModel, space: Manifold, notices: list[str]
+    section: ProcessNoiseSection,
+    model: mujoco.MjModel,
+    space: Manifold,
+    duration: float,
+    notices: list[str],
 ) -> Disturbance:
     """The true process noise."""
     density = section.density
@@ -203,6 +262,9 @@ def _disturbance(
             where = what.get(section.kind, "every control, (unit)² s")
             notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {where}")
     disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
+    schedule = Schedule.build(section.schedule, duration, "process_noise.schedule")
+    if schedule is not None:
+        disturbance = replace(disturbance, schedule=schedule.at)
     if not disturbance.rank:
         notices.append("process noise is zero: an estimator's gain will vanish with time")
     return disturbance
@@ -266,11 +328,48 @@ def _initial(
 
 
 def _believed_channels(
-    model: mujoco.MjModel, channels: Sequence[Channel], scale: float
+    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection
 ) -> tuple[SensorChannel, ...]:
-    """The true channels as the filter believes them, found by name in the filter's model."""
+    """The channels as the filter believes them, found by name in the filter's model."""
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
-    missing = [c.name for c in channels if c.name not in names]
+    known = [c.name for c in channels]
+    for name in section.channels:
+        if name not in known:
+            raise ScenarioError(f"filter.channels: no channel '{name}'{did_you_mean(name, known)}")
+    missing = [name for name in known if name not in names]
     if missing:
         raise ScenarioError(f"filter.path: the filter's model has no sensor {', '.join(missing)}")
-    return tuple(SensorChannel(c.name, names.index(c.name), scale * c.cov) for c in channels)
+    out = []
+    for channel in channels:
+        belief = section.channels.get(channel.name, BelievedChannelSection())
+        R = section.measurement_noise_scale * sensors.believed_covariance(channel, belief)
+        follow = channel.schedule is not None and belief.follow_schedule
+        scale = channel.schedule.at if channel.schedule is not None and follow else None
+        out.append(SensorChannel(channel.name, names.index(channel.name), R, scale))
+    return tuple(out)
+
+
+def _native_timing(
+    spec: mujoco.MjSpec, model: mujoco.MjModel
+) -> dict[str, tuple[float, float, float]]:
+    """Sensor -> the MJCF's (period, phase, delay), s; MuJoCo ignores them unless nsample > 0."""
+    return {
+        layout.sensor_name(model, i): (
+            float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
+        )
+        for i, sensor in enumerate(spec.sensors)
+        if sensor.nsample > 0
+    }  # fmt: skip
+
+
+def _check_window(setup: Setup) -> None:
+    """Refuse a fixed latency that exact handling could never go back to."""
+    section, timestep = setup.scenario.filter, float(setup.plant.model.opt.timestep)
+    exact = any(setup.delays(label).handling == "exact" for label in setup.scenario.estimators)
+    for channel in setup.channels:
+        latency = channel.timing.latency + 2 * channel.timing.jitter
+        if exact and section.window is not None and latency > setup.window:
+            raise ScenarioError(
+                f"filter.window is {section.window:g} s but channel '{channel.name}' is "
+                f"{latency * timestep:g} s late: it would never be fused; raise the window"
+            )

@@ -188,6 +188,8 @@ def open_results(folder: str | Path) -> xr.DataTree:
     if not path.is_dir():
         raise StoreError(f"{folder} holds no {STORE}; name a folder that `estbench run` wrote")
     try:
-        return xr.open_datatree(path, engine="zarr", consolidated=None)
+        with warnings.catch_warnings():  # a store that was never closed opens slowly: no matter
+            warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)
+            return xr.open_datatree(path, engine="zarr", consolidated=None)
     except (OSError, ValueError, KeyError, json.JSONDecodeError) as error:
         raise StoreError(f"{path} cannot be read: {error}") from None

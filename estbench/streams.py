@@ -33,6 +33,14 @@ def normals(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int
     return out
 
 
+def uniforms(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
+    """As `normals`, uniform on [0, 1)."""
+    out = np.empty((steps, len(runs), width))
+    for row, run in enumerate(runs):
+        out[:, row] = stream(seed, run, purpose).random((steps, width))
+    return out
+
+
 def run_keys(seed: int, runs: Sequence[int], purpose: str) -> NDArray[np.uint64]:
     """A 64-bit key a run `(run,)`, for estimators that draw random numbers of their own."""
     word = zlib.crc32(purpose.encode())

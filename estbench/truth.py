@@ -17,8 +17,10 @@ from estbench.models import mjcf
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import needed_stage
 from estbench.models.rows import Rows
+from estbench.readings import Delivery, Readings
 from estbench.scenario import Draw
-from estbench.sensors import Channel, Instant
+from estbench.sensors import Channel
+from estbench.timing import Instant
 
 Array = NDArray[np.float64]
 
@@ -30,12 +32,12 @@ class Trajectory:
     Attributes:
         x: true states `(instant + 1, run, nx)`, the first at t = 0; NaN from where MuJoCo failed.
         u: controls `(instant, run, nu)`, held up to the instant.
-        y: what arrived at each instant `(run, ny)`, or None.
+        deliveries: what arrived at each instant.
     """
 
     x: Array
     u: Array
-    y: list[Array | None]
+    deliveries: list[list[Delivery]]
 
 
 class Simulator:
@@ -75,21 +77,12 @@ class Simulator:
         mean, factor = initial
         self.x0 = space.plus(mean, streams.normals(seed, runs, "initial", 1, space.n)[0] @ factor.T)
         self._process = streams.normals(seed, runs, "process", len(instants), disturbance.rank)
-        self._noise = {
-            c.name: c.noise(seed, runs, sum(c.name in i.channels for i in instants))
-            for c in channels
-        }
-        self._plans = {}
-        self._taken = np.zeros(len(instants) + 1, dtype=object)
-        counts = dict.fromkeys(self._channels, 0)
-        for k, instant in enumerate(instants):
-            self._taken[k] = dict(counts)
-            for name in instant.channels:
-                counts[name] += 1
+        self._readings = [Readings(c, instants, seed, runs) for c in channels]
+        self._plans: dict[tuple[str, ...], tuple[NDArray[np.intp], int]] = {}
         for key, draw in draws.items():
             self._draw(key, draw, seed, runs)
 
-    def step(self, k: int, x: Array, u: Array) -> tuple[Array, Array | None]:
+    def step(self, k: int, x: Array, u: Array) -> tuple[Array, list[Delivery]]:
         """State at the end of instant k `(run, nx)` and the readings that arrive then.
 
         The sensors are read under the commanded control, without the disturbance: an accelerometer
@@ -100,7 +93,7 @@ class Simulator:
         u = mjcf.clamp(self._model, u)
         noise, force, driven = self._disturbance, None, u
         if noise.rank:
-            w = noise.sample(self._process[k], dt)
+            w = noise.sample(self._process[k], instant.start, dt)
             if noise.kind == "force":
                 force = w
             elif noise.kind == "actuator":
@@ -108,29 +101,30 @@ class Simulator:
         x = self._rows.step(x, driven, instant.start, instant.nstep, force)
         if noise.rank and noise.kind == "additive":
             x = self._space.plus(x, w)
-        return x, self._observe(k, instant, x, u)
+        return x, self._observe(k, instant.end, x, u)
 
-    def clean(self, instant: Instant, x: Array, u: Array) -> Array:
-        """Noise-free readings `(run, ny)` of the instant's channels."""
-        if instant.channels not in self._plans:
-            chosen = [self._channels[name] for name in instant.channels]
-            columns = np.concatenate([c.columns for c in chosen])
-            stage = needed_stage(self._model, [c.index for c in chosen])
-            self._plans[instant.channels] = (columns, stage)
-        columns, stage = self._plans[instant.channels]
-        return self._rows.read(x, u, instant.end, stage, columns)
+    def clean(self, channels: Sequence[Channel], t: float, x: Array, u: Array) -> Array:
+        """Noise-free readings `(run, ny)` of some channels, one after the other."""
+        key = tuple(c.name for c in channels)
+        if key not in self._plans:
+            columns = np.concatenate([c.columns for c in channels])
+            self._plans[key] = (columns, needed_stage(self._model, [c.index for c in channels]))
+        columns, stage = self._plans[key]
+        return self._rows.read(x, u, t, stage, columns)
 
-    def _observe(self, k: int, instant: Instant, x: Array, u: Array) -> Array | None:
-        if not instant.channels:
-            return None
-        y = self.clean(instant, x, u)
+    def _observe(self, k: int, t: float, x: Array, u: Array) -> list[Delivery]:
+        """Take the readings that are due, and hand out those that arrive."""
+        taking = [r.channel for r in self._readings if r.takes(k)]
+        y = self.clean(taking, t, x, u) if taking else np.empty((len(x), 0))
+        out: list[Delivery] = []
         start = 0
-        for name in instant.channels:
-            space = self._channels[name].space
-            part = slice(start, start + space.nx)
-            y[:, part] = space.plus(y[:, part], self._noise[name][self._taken[k][name]])
-            start = part.stop
-        return y
+        for readings in self._readings:
+            part = None
+            if readings.takes(k):
+                part = y[:, start : start + readings.channel.space.nx]
+                start += readings.channel.space.nx
+            out += readings.at(k, part)
+        return out
 
     def _draw(self, key: str, draw: Draw, seed: int, runs: Sequence[int]) -> None:
         field, index = mjcf.parameter(self._model, key, "truth.draw")
@@ -151,18 +145,18 @@ def simulate(simulator: Simulator, controller: Controller, frame_time: float) ->
     instants, x = simulator.instants, simulator.x0
     states = np.empty((len(instants) + 1, *x.shape))
     states[0] = x
-    controls, readings = [], []
+    controls, deliveries = [], []
     u = np.empty(0)
     for k, instant in enumerate(instants):
         if instant.control:
             u = controller(
                 round(instant.start / frame_time), instant.start, finite(x, simulator.x0)
             )
-        x, y = simulator.step(k, x, u)
+        x, arrived = simulator.step(k, x, u)
         states[k + 1] = x
         controls.append(u)
-        readings.append(y)
-    return Trajectory(states, np.stack(controls), readings)
+        deliveries.append(arrived)
+    return Trajectory(states, np.stack(controls), deliveries)
 
 
 def finite(x: Array, fallback: Array) -> Array:

@@ -238,14 +238,13 @@ def test_a_run_that_blows_up_is_nan_and_the_others_are_untouched(name):
     assert 6 <= first <= 10
     assert failed[first:, 2].all()  # no silent reset
     assert np.isnan(blown.x[first:, 2]).all()
-    assert np.isnan(np.array(blown.y)[first:, 2, -3:]).all()  # the gyro
+    assert np.isnan(np.array(blown.y)[first:, 2]).all()
     others = [0, 1, 3]
     np.testing.assert_array_equal(blown.x[:, others], calm.x[:, others])
     np.testing.assert_array_equal(np.array(blown.y)[:, others], np.array(calm.y)[:, others])
     assert np.isfinite(seen).all()  # the controller never sees the NaN
 
 
-@pytest.mark.xfail(reason="rotation.normalize turns a NaN quaternion into the identity")
 def test_a_run_that_blew_up_has_no_attitude_either():
     simulator = build("joints", "additive", 1e-3, range(2), steps=3)
     simulator.x0[1] = np.nan

@@ -38,8 +38,8 @@ class Modes:
 class IMM:
     """A bank of Gaussian filters, one a model; the model in force is a Markov chain.
 
-    Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-6 to
-    -9), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The
+    Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-7 to
+    -10), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The
     answer is the moment-matched Gaussian (eq. 11.6.6-16, -17), all on the state's manifold.
 
     Cost per step: that of the base filter times the count of modes. Choose it where the robot

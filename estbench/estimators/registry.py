@@ -12,10 +12,19 @@ from estbench.errors import EstbenchError, EstimatorError, did_you_mean
 from estbench.estimators.base import Estimator
 from estbench.models.base import Model
 
-BUILTIN = {
-    "ekf": "estbench.estimators.ekf:EKF",
-    "ukf": "estbench.estimators.ukf:UKF",
+_BUILTIN = {
+    "ekf": "ekf:EKF",
+    "ukf": "ukf:UKF",
+    "kf": "kf:KF",
+    "lkf": "lkf:LKF",
+    "sr_ekf": "sr_ekf:SquareRootEKF",
+    "iekf": "iekf:IEKF",
+    "sr_ukf": "sr_ukf:SquareRootUKF",
+    "ckf": "ckf:CKF",
+    "ghkf": "ghkf:GHKF",
+    "cd_ekf": "cd_ekf:ContinuousDiscreteEKF",
 }
+BUILTIN = {name: f"estbench.estimators.{target}" for name, target in _BUILTIN.items()}
 GROUP = "estbench.estimators"
 METHODS = ("init", "predict", "update", "mean", "cov")
 

@@ -31,8 +31,8 @@ class RobustEKF(EKF):
         model: the filter's model.
         covariance_update: not used here; the update is in Joseph's form.
         method: `gate_components` leaves out a component when ν²/S exceeds the chi-square quantile,
-            `gate` the whole measurement when NIS does (Bar-Shalom, Li & Kirubarajan 2001, eq.
-            5.4.2-1); `huber` minimizes the prior's square and Huber's loss of the measurement's
+            `gate` the whole measurement when NIS does (Bar-Shalom, Li & Kirubarajan 2001);
+            `huber` minimizes the prior's square and Huber's loss of the measurement's
             whitened residuals (Huber 1964; Karlgaard & Schaub 2007), by reweighting; `student_t` is
             variational Bayes with one random scale of R a measurement (Piché, Särkkä & Hartikainen
             2012).

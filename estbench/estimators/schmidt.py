@@ -1,4 +1,4 @@
-"""Schmidt-Kalman (consider) filter on an extended model (Jazwinski 1970, sec. 8.4)."""
+"""Schmidt-Kalman (consider) filter on an extended model (Jazwinski 1970, ch. 8)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

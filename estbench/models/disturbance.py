@@ -10,8 +10,8 @@ For the last two Q = Γ Γᵀ, where column j of Γ is the change of the end sta
 of a factor of Q_s/dt: the model's own response to one standard deviation of the disturbance.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import mujoco
@@ -37,11 +37,13 @@ class Disturbance:
         kind: where it enters.
         density: Q_s `(k, k)`, k = n, nv or nu by kind.
         factor: a square root of Q_s with only its nonzero columns `(k, rank)`.
+        schedule: factor on Q_s over time, taken at an interval's start; None for a constant.
     """
 
     kind: Kind
     density: Array
     factor: Array
+    schedule: Callable[[float], float] | None = None
 
     @classmethod
     def build(
@@ -91,21 +93,28 @@ class Disturbance:
 
     def scaled(self, scale: float) -> "Disturbance":
         """The disturbance with Q_s times `scale`."""
-        return Disturbance(self.kind, scale * self.density, np.sqrt(scale) * self.factor)
+        return replace(self, density=scale * self.density, factor=np.sqrt(scale) * self.factor)
 
-    def sample(self, white: Array, dt: float) -> Array:
-        """The disturbance `(run, k)` over dt from standard normals `(run, rank)`."""
-        return white @ self.factor.T * (np.sqrt(dt) if self.kind == "additive" else 1 / np.sqrt(dt))
+    def at(self, t: float) -> float:
+        """The schedule's factor on Q_s at t."""
+        return 1.0 if self.schedule is None else self.schedule(t)
+
+    def sample(self, white: Array, t: float, dt: float) -> Array:
+        """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
+        size = np.sqrt(self.at(t) * dt) if self.kind == "additive" else np.sqrt(self.at(t) / dt)
+        return white @ self.factor.T * size
 
     def covariance(
         self, rows: Rows, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
     ) -> Array:
         """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
         if self.kind == "additive":
-            return self.density * dt
+            return self.density * (self.at(t) * dt)
         if not self.rank:
             return np.zeros((space.n, space.n))
-        columns = np.concatenate([np.zeros((1, len(self.factor))), self.factor.T / np.sqrt(dt)])
+        columns = np.concatenate(
+            [np.zeros((1, len(self.factor))), self.factor.T * np.sqrt(self.at(t) / dt)]
+        )
         points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
         if self.kind == "force":
             ends = rows.step(points, u, t, nstep, force=columns)

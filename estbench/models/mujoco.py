@@ -1,6 +1,6 @@
 """A MuJoCo model as a state-space model: steps, sensors and Jacobians, batched over runs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -26,11 +26,13 @@ class SensorChannel:
         name: the channel's name.
         index: the MuJoCo sensor.
         cov: R `(m, m)` in the tangent of the reading.
+        scale: factor on the noise's std over time, None for a constant.
     """
 
     name: str
     index: int
     cov: Array
+    scale: Callable[[float], float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,7 @@ class _Selection:
     stage: int
     space: Manifold
     R: Array
+    scales: tuple[tuple[slice, Callable[[float], float]], ...]
 
 
 class MujocoModel:
@@ -123,7 +126,13 @@ class MujocoModel:
 
     def measurement_noise(self, t: float, channels: Channels = None) -> Array:
         """R, block-diagonal over the channels."""
-        return self._select(channels).R
+        chosen = self._select(channels)
+        if not chosen.scales:
+            return chosen.R
+        R = chosen.R.copy()
+        for block, scale in chosen.scales:
+            R[block, block] *= scale(t) ** 2
+        return R
 
     def steps(self, dt: float) -> int:
         """Physics steps in dt.
@@ -155,6 +164,7 @@ class MujocoModel:
         sensors = [c.index for c in chosen]
         space = layout.sensor_space(self.mjmodel, sensors)
         R = np.zeros((space.n, space.n))
+        scales = []
         start = 0
         for channel in chosen:
             width = layout.sensor_space(self.mjmodel, [channel.index]).n
@@ -165,10 +175,11 @@ class MujocoModel:
                 )
             block = slice(start, start + width)
             R[block, block] = channel.cov
+            if channel.scale is not None:
+                scales.append((block, channel.scale))
             start = block.stop
-        return _Selection(
-            sensor_columns(self.mjmodel, sensors), needed_stage(self.mjmodel, sensors), space, R
-        )
+        columns, stage = sensor_columns(self.mjmodel, sensors), needed_stage(self.mjmodel, sensors)
+        return _Selection(columns, stage, space, R, tuple(scales))
 
 
 def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:

@@ -2,7 +2,7 @@
 
 Augmentation is source 002's remedy for biases: x_a = (x, b, d), x⁺ = f(x, u + E d) ⊞ w,
 y = h(x, u + E d) ⊞ (C b) ⊞ v, where b and d are constants, random walks or first-order Gauss-Markov
-processes (Gelb 1974, sec. 3.8).
+processes (Gelb 1974, ch. 3).
 """
 
 from collections.abc import Sequence
@@ -322,7 +322,7 @@ def _padded(cov: Array, variance: Array) -> Array:
 def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Array]:
     """∂(y ⊞ c) with respect to a change of y (H) and of c (C), in the tangent at y ⊞ c.
 
-    For a rotation vector c they are R(c)ᵀ = I - [c]× J_r(c) and J_r(c) (Solà 2017, eq. 145, 183).
+    For a rotation vector c they are R(c)ᵀ = I - [c]× J_r(c) and J_r(c) (Solà 2017, eq. 183).
     """
     jacobian = space.reset_jacobian(shift)
     turn = np.broadcast_to(np.eye(space.n), jacobian.shape).copy()

@@ -203,20 +203,23 @@ class Chosen:
 
 def choose_runs(entries: Sequence[Entry], most: int) -> list[Chosen]:
     """Runs worth a look: each entry's worst and best by NEES/n, its median, then the first ones."""
-    reasons: dict[int, list[str]] = {}
+    reasons: dict[int, dict[str, list[str]]] = {}
     ranked = []
     for entry in entries:
         anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)
         order = np.argsort(anees, kind="stable")
-        runs = entry.source.runs[order]
-        ranked.append((entry, runs))
-    several = len(entries) > 1
+        ranked.append((entry.key, entry.source.runs[order]))
     for what, place in (("worst", -1), ("best", 0), ("median", None)):
-        for entry, runs in ranked:
+        for key, runs in ranked:
             index = (len(runs) - 1) // 2 if place is None else place
-            why = f"{what} of {entry.key}" if several else what
-            reasons.setdefault(int(runs[index]), []).append(why)
+            reasons.setdefault(int(runs[index]), {}).setdefault(what, []).append(key)
     for run in entries[0].source.runs[:most]:
-        reasons.setdefault(int(run), [])
-    chosen = list(reasons.items())[:most]
-    return sorted((Chosen(run, ", ".join(why)) for run, why in chosen), key=lambda c: c.run)
+        reasons.setdefault(int(run), {})
+    chosen = []
+    for run, why in list(reasons.items())[:most]:
+        parts = (
+            what if len(keys) == len(entries) else f"{what} of {', '.join(keys)}"
+            for what, keys in why.items()
+        )
+        chosen.append(Chosen(run, "; ".join(parts)))
+    return sorted(chosen, key=lambda c: c.run)

@@ -33,6 +33,7 @@ SECTIONS = (
     ("coverage", "Coverage"), ("correlation", "Autocorrelation"), ("diverged", "Diverged"),
     ("cost", "Cost"),
 )  # fmt: skip
+CLIP_SECONDS, CLIP_FPS, CLIP_WIDTH = 5.0, 12.0, 320
 RELEVANT = 0.01
 """A difference below this part of the baseline's value is not coloured."""
 Say = Callable[[str], None]
@@ -98,7 +99,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         + f": {', '.join(e.key for e in entries)}",
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=estbench.__version__,
-        notices=_notices(entries, statistics, problem),
+        notices=_notices(entries, statistics),
         sections=[s for s in SECTIONS if s[0] not in ("error", "coverage", "correlation")
                   or has_traces],
         entries=[_entry(material, i) for i in range(len(entries))],
@@ -117,6 +118,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         thinned=points < steps,
         exact=has_traces,
         clips=clips,
+        no_clips=problem,
         outside=_outside(entries, statistics),
         lag_one="; ".join(f"{e.key} {facts.show(e.summary.lag_one)}" for e in entries),
         diverged=facts.diverged(entries, statistics),
@@ -225,7 +227,7 @@ def _outside(entries: Sequence[Entry], statistics: Sequence[Any]) -> str:
     )
 
 
-def _notices(entries: Sequence[Entry], statistics: Sequence[Any], problem: str) -> list[str]:
+def _notices(entries: Sequence[Entry], statistics: Sequence[Any]) -> list[str]:
     out = []
     for source in {id(e.source): e.source for e in entries}.values():
         if len(source.runs) < source.total:
@@ -239,13 +241,16 @@ def _notices(entries: Sequence[Entry], statistics: Sequence[Any], problem: str) 
             "distributions, autocorrelation, videos and the time of divergence need "
             "`estbench run --keep diagonal`."
         )
-    return out + ([problem] if problem else [])
+    return out
 
 
 def _worst(entry: Entry, chosen: Sequence[data.Chosen]) -> str:
     """The run shown first: the worst of the first entry."""
-    worst = [c.run for c in chosen if "worst" in c.why.split(",")[0]]
-    return str(worst[0] if worst else chosen[0].run if chosen else "")
+    if not chosen:
+        return ""
+    anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)
+    rank = {int(run): value for run, value in zip(entry.source.runs, anees)}
+    return str(max((c.run for c in chosen), key=lambda run: rank.get(run, -1.0)))
 
 
 def _data(
@@ -303,18 +308,55 @@ def _pack(values: NDArray) -> dict[str, Any]:
 def _picture(source: Any, say: Say) -> str:
     """The robot at its initial estimate as a data URI, or "" where it cannot be drawn."""
     from estbench import setup
-    from estbench.report import scene
+    from estbench.report import render
 
     try:
         prepared = setup.build(source.scenario)
-        with scene.Renderer(prepared.plant.model, 480, 360) as renderer:
+        with render.Renderer(prepared.plant.model, 480, 360) as renderer:
             pixels = renderer.draw(prepared.mean)
     except EstbenchError as error:
         say(f"no picture of the robot: {error}")
         return ""
-    return "data:image/png;base64," + base64.b64encode(scene.png(pixels)).decode()
+    return "data:image/png;base64," + base64.b64encode(render.png(pixels)).decode()
 
 
 def _clips(entries: Sequence[Entry], say: Say) -> tuple[list[dict[str, Any]], str]:
-    """Short videos of the first entry's best and worst run, and why there are none."""
-    return [], ""
+    """Short videos of the best and of the worst run, or a line that says why there are none."""
+    from estbench.report import replay
+
+    try:
+        from estbench.report import video
+
+        ends = [max(float(e.source.times[-1]) for e in entries)]
+        speed = max(1.0, ends[0] / CLIP_SECONDS)
+        look = video.Look(CLIP_WIDTH, CLIP_WIDTH * 3 // 4, CLIP_FPS, speed)
+        video.check(Path("clip.mp4"), None)
+        out = []
+        for what, entry, run in _extremes(entries):
+            say(f"drawing the {what} run: {run} of {entry.key}")
+            content, poster = video.clip(replay.of_entry(entry, run), look)
+            out.append(
+                {
+                    "source": "data:video/mp4;base64," + base64.b64encode(content).decode(),
+                    "poster": "data:image/jpeg;base64," + base64.b64encode(poster).decode(),
+                    "width": look.width,
+                    "speed": repr(speed),
+                    "caption": f"The {what} run by NEES: run {run} of {entry.key}"
+                    + (f", {speed:.3g} times as fast." if speed > 1 else "."),
+                }
+            )
+    except EstbenchError as error:
+        return [], f"There are no videos: {error}"
+    return out, ""
+
+
+def _extremes(entries: Sequence[Entry]) -> list[tuple[str, Entry, int]]:
+    """The runs of least and greatest time-averaged NEES/n of all entries with traces."""
+    found = []
+    for entry in entries:
+        if entry.source.has_traces:
+            anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)
+            for place in (anees.argmin(), anees.argmax()):
+                found.append((float(anees[place]), entry, int(entry.source.runs[place])))
+    best, worst = (pick(found, key=lambda f: f[0]) for pick in (min, max))
+    return [("best", *best[1:]), ("worst", *worst[1:])]

@@ -95,6 +95,7 @@
       modebar: { bgcolor: "rgba(0,0,0,0)", color: look.line, activecolor: look.ink },
       dragmode: window.matchMedia("(pointer: coarse)").matches ? false : "zoom",
       xaxis: { ...axis, ...given.xaxis }, yaxis: { ...axis, ...given.yaxis } };
+    if (out.yaxis.type === "log") out.yaxis.dtick = "D2";
     if (drawing.time) {
       out.xaxis.range = state.range || page.span;
       out.yaxis.fixedrange = true;

@@ -122,9 +122,12 @@ def map_estimate(
         taken += active
         system = _linearize(model, prior, controls, times, measurements, trial)
         cost = _cost(system)
-        worse = active & (cost > best + 1e-10 * (1.0 + best)) & (scale > _SMALLEST)
+        rounding = 1e-10 * (1.0 + cost)
+        worse = active & (cost > best + rounding) & (scale > _SMALLEST)
         better = active & ~worse
-        scale = np.where(worse, 0.5 * scale, 1.0)
+        # Where the change is lost in rounding the scale that got there is kept.
+        longer = np.where(cost < best - rounding, np.minimum(2.0 * scale, 1.0), scale)
+        scale = np.where(worse, 0.5 * scale, longer)
         x = np.where(better[:, None, None], trial, x)
         best = np.where(better, cost, best)
         new, failed = _solve(system, count, space.n, better)

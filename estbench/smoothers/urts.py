@@ -1,4 +1,4 @@
-"""Unscented Rauch-Tung-Striebel smoother (Särkkä 2008, sec. III; Särkkä 2013, alg. 10.3)."""
+"""Unscented Rauch-Tung-Striebel smoother (Särkkä 2008; Särkkä 2013, ch. 9)."""
 
 from collections.abc import Sequence
 from typing import Any

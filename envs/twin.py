@@ -1,0 +1,120 @@
+"""The environment's own observation, computed at an estimated state on a twin of the environment."""
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from estbench.envs.errors import EnvError
+from estbench.models import layout
+
+Array = NDArray[np.float64]
+_OWN = ("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec")
+
+
+class Twin:
+    """A shallow copy of an environment with a `data` of its own; the original is never written.
+
+    MuJoCo's derived quantities (body positions, contact forces, ...) are, after a step, those of
+    the state before the last physics step; an environment's observation mixes them with the new
+    qpos and qvel. The twin does the same: it steps from the last estimate under the same control
+    and then takes the new estimate's qpos, qvel and act. With an exact estimate its observation is
+    the environment's own. Contact forces at an estimate are those of the estimated pose: near a
+    contact a small error of height turns a force on or off.
+
+    Args:
+        env: an environment whose unwrapped has `_get_obs` and `do_simulation`.
+
+    Raises:
+        EnvError: it has not, or wrappers have changed its observation.
+    """
+
+    def __init__(self, env: gym.Env):
+        base: Any = env.unwrapped
+        for name in ("_get_obs", "do_simulation"):
+            if not callable(getattr(base, name, None)):
+                raise EnvError(
+                    f"observe='env' needs {type(base).__name__}.{name}(), which Gymnasium's MuJoCo "
+                    "environments have; use observe='state', 'belief' or 'raw'"
+                )
+        if env.observation_space != base.observation_space:
+            raise EnvError(
+                f"observe='env' computes the observation of {type(base).__name__}, but a wrapper "
+                "between has changed it; put EstimatedObservation directly around the environment "
+                "and the other observation wrappers around EstimatedObservation"
+            )
+        self.space = base.observation_space
+        self._base = base
+        # Not copy.copy: Gymnasium's environments are EzPickle, whose copy is a new environment.
+        self._env = object.__new__(type(base))
+        vars(self._env).update(vars(base))
+        self._env.mujoco_renderer = None
+        self._env.data = mujoco.MjData(base.model)
+        self._env._np_random = np.random.default_rng(0)  # should _get_obs draw noise of its own
+        self._quaternions = [
+            slice(q, q + 4) for q in layout.state_space(base.model).quaternions[:, 0]
+        ]
+        self._shared = [k for k in vars(base) if k not in _OWN]
+
+    def reset(self, x: Array, truth: Array, t: float = 0.0) -> Any:
+        """The observation of a new episode.
+
+        Gymnasium's environments start with quaternions that are not of unit length, and show them
+        so; the estimate's, which are, get the truth's length. It says nothing about the rotation.
+
+        Args:
+            x: estimate `(nx,)`.
+            truth: true state `(nx,)`.
+            t: time, s.
+        """
+        env = self._sync()
+        mujoco.mj_resetData(env.model, env.data)
+        x = x.copy()
+        for part in self._quaternions:
+            x[part] *= np.linalg.norm(truth[part]) / np.linalg.norm(x[part])
+        self._write(x, t)
+        mujoco.mj_forward(env.model, env.data)
+        return self._observation()
+
+    def step(self, before: Array, u: Array, nstep: int, x: Array, t: float) -> Any:
+        """The observation after a step.
+
+        Args:
+            before: the last estimate `(nx,)`.
+            u: controls that were applied `(nu,)`.
+            nstep: physics steps.
+            x: the new estimate `(nx,)`.
+            t: time at x, s.
+        """
+        env = self._sync()
+        self._write(before, t - nstep * env.model.opt.timestep)
+        env.do_simulation(u, nstep)
+        self._write(x, t)
+        return self._observation()
+
+    def _sync(self) -> Any:
+        """Follow what the environment keeps besides its model and data (a goal, a counter, ...)."""
+        mine, theirs = vars(self._env), vars(self._base)
+        for name in self._shared:
+            mine[name] = theirs[name]
+        return self._env
+
+    def _write(self, x: Array, t: float) -> None:
+        model, data = self._env.model, self._env.data
+        data.qpos = x[: model.nq]
+        data.qvel = x[model.nq : model.nq + model.nv]
+        if model.na:
+            data.act = x[model.nq + model.nv :]
+        data.time = t
+
+    def _observation(self) -> Any:
+        observation = self._env._get_obs()
+        if isinstance(self.space, spaces.Box):
+            # An estimate may lie a little outside of what the truth can reach.
+            observation = np.clip(observation, self.space.low, self.space.high)
+            return np.array(observation, self.space.dtype)
+        return copy.deepcopy(observation)

@@ -1,0 +1,208 @@
+"""A filter bank between a vector of ordinary MuJoCo environments and its policy."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from estbench.envs.actions import check
+from estbench.envs.errors import EnvError
+from estbench.envs.features import features
+from estbench.envs.keys import Mask, RowKeys
+from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
+from estbench.envs.truth_info import KEYS
+from estbench.envs.twin import Twin
+from estbench.envs.watch import Watch
+
+Array = NDArray[np.float64]
+States = tuple[Array, Array, Array]
+_log = logging.getLogger("estbench")
+
+
+class VectorEstimatedObservation(VectorWrapper):
+    """`EstimatedObservation` for `SyncVectorEnv` and `AsyncVectorEnv`: one filter bank for all rows.
+
+    Row i with seed s sees what `EstimatedObservation` sees with seed s + i. The filters use the
+    first environment's model. Rows whose episode ends start their filter anew, in every autoreset
+    mode; `SameStep` needs the wrapper `RecordTruth` in each environment.
+
+    Args:
+        env: the vector of environments.
+        estimator, sensors, process_noise, observe, initial_std, model_set, xml: as for
+            `estbench.envs.EstimatedObservation`. With `observe="env"` each row's observation is
+            computed in Python, one after the other; the other kinds are computed together.
+        nthread: threads of the filters' physics.
+
+    Raises:
+        EstbenchError: anything that does not fit; the message names the remedy.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv,
+        estimator: str | Mapping[str, Any] = "ukf",
+        sensors: str | Path | Sequence[str] | Mapping[str, Any] | None = None,
+        process_noise: float | Mapping[str, Any] = 0.01,
+        observe: str = "env",
+        initial_std: float | Sequence[float] | dict[str, float] = 0.05,
+        model_set: Mapping[str, float | Sequence[float]] | None = None,
+        xml: str | Path | None = None,
+        nthread: int = 1,
+    ):
+        super().__init__(env)
+        inner = env.unwrapped
+        if isinstance(inner, SyncVectorEnv):
+            members, self._datas = list(inner.envs), None
+        elif isinstance(inner, AsyncVectorEnv):
+            members, self._datas = [inner.env_fns[0]()], []
+        else:
+            raise EnvError(
+                f"{type(inner).__name__} is neither SyncVectorEnv nor AsyncVectorEnv; make it with "
+                "gymnasium.make_vec(..., vectorization_mode='sync')"
+            )
+        self._watch = Watch(
+            members[0], env.num_envs, estimator, sensors, process_noise, initial_std, model_set,
+            xml, filtered=observe != "raw", nthread=nthread,
+        )  # fmt: skip
+        self.notices = self._watch.notices
+        for line in self.notices:
+            _log.warning("%s: %s", type(members[0].unwrapped).__name__, line)
+        if isinstance(inner, SyncVectorEnv):
+            self._datas = [member.unwrapped.data for member in members]  # pyright: ignore
+        self._twins: list[Twin] = []
+        if observe == "env":
+            every = members if len(members) == env.num_envs else members * env.num_envs
+            self._twins = [Twin(member) for member in every]
+            self.single_observation_space = self._twins[0].space
+        else:
+            self.single_observation_space, self._observe = features(observe, self._watch.observer)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self._mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
+        self._keys = RowKeys(env.num_envs, "estbench")
+        self._ended = np.zeros(env.num_envs, bool)
+        self._shown = np.zeros((env.num_envs, *(self.single_observation_space.shape or ())))
+        self._time = np.zeros(env.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start episodes and filters, in all rows or those of `options["reset_mask"]`."""
+        mask, seeds = reset_mask(options, self.num_envs), row_seeds(seed, self.num_envs)
+        _, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
+        for row in np.flatnonzero(mask):
+            self._keys.seed(row, seeds[row])
+        states = self._states(info)
+        self._restart(mask, states)
+        return self._shown.copy(), {**info, **self._info(states, mask)}
+
+    def step(self, actions: Any) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+        """Step all environments, predict and update all filters.
+
+        Raises:
+            EnvError: an action is outside the space, or what the rows need cannot be known.
+        """
+        space = self.single_action_space
+        if isinstance(space, gym.spaces.Box):
+            shape = (self.num_envs, *space.shape)
+            check(np.asarray(actions, np.float64), space, shape)
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+            raise EnvError(
+                f"step() after the end of the episode of row {int(self._ended.argmax())}; call "
+                "reset(options={'reset_mask': terminated | truncated})"
+            )
+        _, reward, terminated, truncated, info = self.env.step(actions)
+        over, every = terminated | truncated, np.ones(self.num_envs, bool)
+        states = self._states(info)
+        if self._mode is AutoresetMode.SAME_STEP and over.any():
+            last = self._final_states(states, info, over)
+            self._follow(last, every)
+            final, before = self._shown.copy(), self._info(last, over)
+            self._restart(over, states)
+            final_info = {**info["final_info"], **before}
+            ours = self._info(states, every)
+            add_final(ours, over, final, final_info)
+            return self._shown.copy(), reward, terminated, truncated, {**info, **ours}
+        again = self._ended if self._mode is AutoresetMode.NEXT_STEP else ~every
+        self._follow(states, ~again)
+        if again.any():
+            self._restart(again, states)
+        self._ended = over
+        info = {**info, **self._info(states, every)}
+        return self._shown.copy(), reward, terminated, truncated, info
+
+    def _restart(self, mask: Mask, states: States) -> None:
+        x, u, t = states
+        self._watch.reset(mask, self._keys.draw(np.flatnonzero(mask)), x, u)
+        self._time[mask], self._ended = t[mask], self._ended & ~mask
+        bank = self._watch.observer.bank
+        if self._twins and bank is not None:
+            for row in np.flatnonzero(mask):
+                self._shown[row] = self._twins[row].reset(bank.estimate[row], x[row], t[row])
+        else:
+            self._shown[mask] = self._observe(x)[mask]
+
+    def _follow(self, states: States, mask: Mask) -> None:
+        """Filters and observations of the rows of a mask after a step."""
+        if not mask.any():
+            return
+        x, u, t = states
+        row = int(mask.argmax())
+        nstep = self._watch.steps(float(t[row] - self._time[row]))
+        bank = self._watch.observer.bank
+        before = None if bank is None else bank.estimate
+        self._watch.step(nstep, x, u, None if mask.all() else mask)
+        self._time[mask] = t[mask]
+        if self._twins and bank is not None and before is not None:
+            for row in np.flatnonzero(mask):
+                self._shown[row] = self._twins[row].step(
+                    before[row], u[row], nstep, bank.estimate[row], float(t[row])
+                )
+        else:
+            self._shown[mask] = self._observe(x)[mask]
+
+    def _info(self, states: States, mask: Mask) -> dict[str, Any]:
+        return vector_info(self._watch.observer.info(states[0]), mask)
+
+    def _states(self, info: dict[str, Any]) -> States:
+        """True states, controls and times of all rows; of rows without news, the last ones."""
+        if KEYS[0] in info:
+            new = [np.asarray(info.pop(key), np.float64) for key in KEYS]
+            known = info.pop(f"_{KEYS[0]}")
+            for key in KEYS[1:]:
+                info.pop(f"_{key}")
+            if not known.all():
+                new = [
+                    np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+                    for a, b in zip(new, self._last)
+                ]
+            self._last: States = (new[0], new[1], new[2])
+            return self._last
+        datas = self._datas or self.env.unwrapped.get_attr("data")  # pyright: ignore
+        x = np.array([np.concatenate([d.qpos, d.qvel, d.act]) for d in datas])
+        return x, np.array([d.ctrl for d in datas]), np.array([d.time for d in datas])
+
+    def _final_states(self, states: States, info: dict[str, Any], over: Mask) -> States:
+        """The states before the reset, of the rows that ended in this step."""
+        final = info["final_info"]
+        if KEYS[0] not in final:
+            raise EnvError(
+                "with same-step autoreset the last state of an episode is gone before a filter can "
+                "see it; make the vector with wrappers=[estbench.envs.RecordTruth], or with "
+                "autoreset_mode='NextStep'"
+            )
+        out = [
+            np.where(over.reshape(-1, *[1] * (now.ndim - 1)), np.asarray(final.pop(key)), now)
+            for key, now in zip(KEYS, states)
+        ]
+        for key in KEYS:
+            final.pop(f"_{key}")
+        return out[0], out[1], out[2]

@@ -1,0 +1,140 @@
+"""A filter between any MuJoCo environment and its policy."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from numpy.typing import NDArray
+
+from estbench.envs.actions import check
+from estbench.envs.errors import EnvError
+from estbench.envs.features import features
+from estbench.envs.keys import RowKeys
+from estbench.envs.native import first
+from estbench.envs.twin import Twin
+from estbench.envs.watch import Watch
+
+Array = NDArray[np.float64]
+ONE = np.ones(1, bool)
+_log = logging.getLogger("estbench")
+
+
+class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
+    """Shows a policy what a filter makes of noisy sensors, in place of the true state.
+
+    The environment itself is untouched: its trajectory for a seed and actions is the same, to the
+    last bit, with and without the wrapper. The filter's belief starts at N(x₀ ⊟ e, P₀), e ~ N(0, P₀).
+
+    Args:
+        env: any environment whose `unwrapped` has `model` and `data` of MuJoCo.
+        estimator: name, `package.module:Name`, or a table of settings with `type`.
+        sensors: names of sensors in the model; a table of channels, as in a scenario's
+            `[channels.NAME]` (see `estbench.envs.sensors`); or a TOML file of them. By default
+            all sensors in the model, or, if it has none, an encoder on every joint and pose and
+            gyro on every free body. `noise = 0` makes a channel's reading exact.
+        process_noise: spectral density Q_s that the filter assumes: of the velocities (a number,
+            (unit/s)²/s), or per coordinate (a table of patterns), or a table with `kind` and
+            `density` as in a scenario's `[process_noise]`.
+        observe: `env` (the environment's own observation, at the estimate), `state`, `belief`,
+            `covariance`, or `raw` (sensor readings, no filter).
+        initial_std: P₀'s standard deviations: a number, a list or a table of patterns. 0 starts
+            the filter at the truth.
+        model_set: `field.object` = value: where the filter's model differs from the environment's.
+        xml: MJCF of the model, for environments that do not say what they were made from.
+
+    Raises:
+        EstbenchError: anything that does not fit; the message names the remedy.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env,
+        estimator: str | Mapping[str, Any] = "ukf",
+        sensors: str | Path | Sequence[str] | Mapping[str, Any] | None = None,
+        process_noise: float | Mapping[str, Any] = 0.01,
+        observe: str = "env",
+        initial_std: float | Sequence[float] | dict[str, float] = 0.05,
+        model_set: Mapping[str, float | Sequence[float]] | None = None,
+        xml: str | Path | None = None,
+    ):
+        RecordConstructorArgs.__init__(
+            self,
+            estimator=estimator,
+            sensors=str(sensors) if isinstance(sensors, Path) else sensors,
+            process_noise=process_noise,
+            observe=observe,
+            initial_std=initial_std,
+            model_set=model_set,
+            xml=None if xml is None else str(xml),
+        )
+        gym.Wrapper.__init__(self, env)
+        self._watch = Watch(
+            env, 1, estimator, sensors, process_noise, initial_std, model_set, xml,
+            filtered=observe != "raw",
+        )  # fmt: skip
+        self.notices = self._watch.notices
+        for line in self.notices:
+            _log.warning("%s: %s", type(env.unwrapped).__name__, line)
+        self._data = self._watch.data
+        self._keys = RowKeys(1, "estbench")
+        self._twin = Twin(env) if observe == "env" else None
+        if self._twin is None:
+            self.observation_space, self._observe = features(observe, self._watch.observer)
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode and the filter; a seed also fixes the sensors' noise.
+
+        Returns:
+            The observation, and the environment's info with that of the filter
+            (`estbench.envs.filter.FilterBank.info`).
+        """
+        _, info = self.env.reset(seed=seed, options=options)
+        self._keys.seed(0, seed)
+        x, u = self._state(), np.array(self._data.ctrl)[None]
+        self._watch.reset(ONE, self._keys.draw([0]), x, u)
+        self._running, self._time = True, self._data.time
+        bank = self._watch.observer.bank
+        if self._twin is not None and bank is not None:
+            observation = self._twin.reset(bank.estimate[0], x[0], self._time)
+        else:
+            observation = self._observe(x)[0].copy()
+        return observation, {**info, **first(self._watch.observer.info(x))}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment, predict and update.
+
+        Raises:
+            EnvError: the action is outside the space, or the episode is over.
+        """
+        if not self._running:
+            raise EnvError("step() after the end of an episode, or before the first; call reset()")
+        if isinstance(self.action_space, gym.spaces.Box):
+            check(np.asarray(action, np.float64), self.action_space, self.action_space.shape)
+        _, reward, terminated, truncated, info = self.env.step(action)
+        self._running = not (terminated or truncated)
+        x, u = self._state(), np.array(self._data.ctrl)[None]
+        nstep = self._watch.steps(self._data.time - self._time)
+        self._time = self._data.time
+        bank = self._watch.observer.bank
+        before = None if bank is None else bank.estimate[0]
+        self._watch.step(nstep, x, u)
+        if self._twin is not None and bank is not None and before is not None:
+            observation = self._twin.step(before, u[0], nstep, bank.estimate[0], self._time)
+        else:
+            observation = self._observe(x)[0].copy()
+        return (
+            observation, reward, terminated, truncated,
+            {**info, **first(self._watch.observer.info(x))},
+        )  # fmt: skip
+
+    def _state(self) -> Array:
+        """The true state `(1, nx)`, a copy."""
+        data = self._data
+        return np.concatenate([data.qpos, data.qvel, data.act])[None]

@@ -1,0 +1,208 @@
+"""What a sensor does to the true reading, one reading of all runs at a time.
+
+In order: scale factor and misalignment, bias and drift, white noise with outliers, saturation,
+quantization, deadband, stuck-at faults, dropout. Everything lives in the reading's tangent, so an
+attitude is biased by a rotation. The random numbers are handed in (`Draws`), so that the same
+function serves a recorded batch and a live environment.
+
+Sources: Gauss-Markov drift and its discretization: Gelb 1974, sec. 3.8; bursts: Gilbert 1960.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from estbench.manifold import Manifold
+
+Array = NDArray[np.float64]
+Draws = dict[str, Array]
+"""Purpose -> random numbers `(run, width)` of one reading, or of the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Imperfections:
+    """Everything but the white noise; zero (or None) switches a part off.
+
+    Attributes, per tangent coordinate `(m,)` where so said:
+        bias: std of a constant drawn once a run, `(m,)`.
+        walk: intensity of a random walk, unit/√s, `(m,)`.
+        drift: stationary std of a first-order Gauss-Markov drift, `(m,)`.
+        drift_time: its correlation time, s.
+        scale_factor: std of the relative gain error of each axis, `(m,)`.
+        misalignment: std of the rotation of a three-axis sensor, rad.
+        quantization: step, `(m,)`.
+        cutoff: saturation at ± this, `(m,)`; infinite for none.
+        deadband: readings below this in size become zero, `(m,)`.
+        outlier_probability, outlier_scale: chance that a reading's noise is that many times larger.
+        student_dof: degrees of freedom of a Student-t noise with the covariance R; 0 for Gaussian.
+        dropout: long-run share of readings lost.
+        dropout_length: mean length of a gap, readings; 1 for independent losses.
+        stuck: chance that a reading starts a stuck-at fault.
+        stuck_length: mean length of it, readings.
+    """
+
+    bias: Array
+    walk: Array
+    drift: Array
+    scale_factor: Array
+    quantization: Array
+    cutoff: Array
+    deadband: Array
+    drift_time: float = 100.0
+    misalignment: float = 0.0
+    outlier_probability: float = 0.0
+    outlier_scale: float = 10.0
+    student_dof: float = 0.0
+    dropout: float = 0.0
+    dropout_length: float = 1.0
+    stuck: float = 0.0
+    stuck_length: float = 10.0
+
+    def normals(self, m: int) -> dict[str, int]:
+        """Purpose -> how many standard normals each reading needs, for the parts in use."""
+        return {
+            purpose: m
+            for purpose, used in (("walk", self.walk.any()), ("drift", self.drift.any()))
+            if used
+        }
+
+    def uniforms(self) -> dict[str, int]:
+        """Purpose -> how many uniforms on [0, 1) each reading needs, for the parts in use."""
+        used = (
+            ("outlier", self.outlier_probability),
+            ("student", self.student_dof),
+            ("dropout", self.dropout),
+            ("stuck", self.stuck),
+        )
+        return {purpose: 1 for purpose, value in used if value}
+
+    def constants(self, m: int) -> dict[str, int]:
+        """Purpose -> how many standard normals the start needs, for the parts in use."""
+        used = (
+            ("bias", self.bias.any(), m),
+            ("drift0", self.drift.any(), m),
+            ("scale_factor", self.scale_factor.any(), m),
+            ("misalignment", self.misalignment, 3),
+        )
+        return {purpose: width for purpose, value, width in used if value}
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A sensor's memory, a row a run.
+
+    Attributes:
+        bias: constant plus random walk `(run, m)`.
+        drift: Gauss-Markov part `(run, m)`.
+        gain: matrix that multiplies the true reading `(run, m, m)`, or None for the identity.
+        last: last delivered reading `(run, ny)`, or None before the first.
+        stuck: in a stuck-at fault `(run,)`.
+        lost: in a gap `(run,)`.
+        time: of the last reading, s.
+    """
+
+    bias: Array
+    drift: Array
+    gain: Array | None
+    last: Array | None
+    stuck: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    time: float = 0.0
+
+
+def start(part: Imperfections, draws: Draws, runs: int, m: int) -> State:
+    """The sensor as it is switched on; draws as `Imperfections.constants` asks."""
+    zero = np.zeros((runs, m))
+    gain = None
+    if "scale_factor" in draws or "misalignment" in draws:
+        gain = np.broadcast_to(np.eye(m), (runs, m, m)).copy()
+        if "scale_factor" in draws:
+            gain += (part.scale_factor * draws["scale_factor"])[:, :, None] * np.eye(m)
+        if "misalignment" in draws:
+            x, y, z = (part.misalignment * draws["misalignment"]).T
+            o = np.zeros(runs)
+            turn = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(runs, 3, 3)
+            gain = gain + turn  # small angles
+    no = np.zeros(runs, bool)
+    bias = part.bias * draws["bias"] if "bias" in draws else zero
+    drift = part.drift * draws["drift0"] if "drift0" in draws else zero
+    return State(bias, drift, gain, None, no, no)
+
+
+def deliver(
+    part: Imperfections,
+    space: Manifold,
+    clean: Array,
+    noise: Array,
+    state: State,
+    draws: Draws,
+    time: float,
+) -> tuple[Array, NDArray[np.bool_] | None, State]:
+    """One reading: what is delivered `(run, ny)`, where it arrives `(run,)` (None: all), memory.
+
+    Args:
+        part: the sensor's imperfections.
+        space: the manifold of its readings.
+        clean: noise-free readings `(run, ny)`.
+        noise: white noise v `(run, m)`.
+        state: from `start` or the reading before.
+        draws: as `Imperfections.normals` and `uniforms` ask.
+        time: of this reading, s.
+    """
+    step = time - state.time
+    bias, drift = state.bias, state.drift
+    if "walk" in draws:
+        bias = bias + part.walk * np.sqrt(step) * draws["walk"]
+    if "drift" in draws:
+        keep = np.exp(-step / part.drift_time)
+        drift = keep * drift + part.drift * np.sqrt(1.0 - keep**2) * draws["drift"]
+    if "student" in draws:
+        noise = noise * _student_scale(draws["student"], part.student_dof)
+    if "outlier" in draws:
+        hit = draws["outlier"] < part.outlier_probability
+        noise = noise * np.where(hit, part.outlier_scale, 1.0)
+    y = clean if state.gain is None else (state.gain @ clean[..., None])[..., 0]
+    y = space.plus(y, bias + drift + noise)
+    if space.flat:
+        y = _transfer(part, y)
+    stuck, lost, mask = state.stuck, state.lost, None
+    if "stuck" in draws:
+        chance = draws["stuck"][:, 0]
+        stuck = np.where(stuck, chance >= 1.0 / part.stuck_length, chance < part.stuck)
+        if state.last is not None:
+            y = np.where(stuck[:, None], state.last, y)
+    if "dropout" in draws:
+        chance = draws["dropout"][:, 0]
+        leave = 1.0 / part.dropout_length
+        # Gilbert's chain: with this chance of entering a gap the long-run share lost is `dropout`.
+        enter = min(1.0, leave * part.dropout / (1.0 - part.dropout)) if part.dropout < 1 else 1.0
+        if part.dropout_length == 1.0:
+            lost = chance < part.dropout
+        else:
+            lost = np.where(lost, chance >= leave, chance < enter)
+        mask = ~lost
+    memory = y if "stuck" in draws else None
+    return (
+        y,
+        mask,
+        replace(state, bias=bias, drift=drift, last=memory, stuck=stuck, lost=lost, time=time),
+    )
+
+
+def _transfer(part: Imperfections, y: Array) -> Array:
+    """Saturation, quantization and deadband of readings `(run, m)`."""
+    if np.isfinite(part.cutoff).any():
+        y = np.clip(y, -part.cutoff, part.cutoff)
+    if part.quantization.any():
+        step = np.where(part.quantization > 0, part.quantization, 1.0)
+        y = np.where(part.quantization > 0, step * np.round(y / step), y)
+    if part.deadband.any():
+        y = np.where(np.abs(y) < part.deadband, 0.0, y)
+    return y
+
+
+def _student_scale(uniform: Array, dof: float) -> Array:
+    """Factor `(run, 1)` that makes Gaussian noise Student-t of the same covariance (dof > 2)."""
+    return np.sqrt((dof - 2.0) / chi2.ppf(np.clip(uniform, 1e-12, 1 - 1e-12), dof))

@@ -1,0 +1,92 @@
+"""What a filter has received so far, filed under the instant at which it is to be fused.
+
+Readings of several channels for one instant update jointly, whenever they came; a reading is fused
+once. A second reading of a channel for the same instant and run opens a further layer.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.manifold import Manifold
+from estbench.readings import Delivery
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One joint measurement: channels in their order, y `(run, ny)`, mask `(run, m)` or None."""
+
+    channels: tuple[str, ...]
+    y: Array
+    mask: Mask | None
+
+
+Layer = dict[str, tuple[Array, Mask | None]]
+
+
+class Inbox:
+    """Deliveries filed by instant.
+
+    Args:
+        spaces: channel -> the manifold of its readings, in the order of the measurement vector.
+    """
+
+    def __init__(self, spaces: Mapping[str, Manifold]):
+        self._spaces = dict(spaces)
+        self._filed: dict[int, list[Layer]] = {}
+        self._joints: dict[int, list[Joint]] = {}
+
+    def add(self, instant: int, delivery: Delivery) -> None:
+        """File a delivery under the instant at which it is to be fused."""
+        self._joints.pop(instant, None)
+        layers = self._filed.setdefault(instant, [])
+        for layer in layers:
+            merged = _merge(layer.get(delivery.channel), delivery.y, delivery.mask)
+            if merged is not None:
+                layer[delivery.channel] = merged
+                return
+        layers.append({delivery.channel: (delivery.y, delivery.mask)})
+
+    def at(self, instant: int) -> list[Joint]:
+        """The joint measurements of an instant, layer after layer."""
+        if instant not in self._filed:
+            return []
+        if instant not in self._joints:
+            self._joints[instant] = [self._join(layer) for layer in self._filed[instant]]
+        return self._joints[instant]
+
+    def forget(self, instant: int) -> None:
+        """Drop what is filed before an instant that no reading can reach any more."""
+        for old in [i for i in self._filed if i < instant]:
+            del self._filed[old]
+            self._joints.pop(old, None)
+
+    def _join(self, layer: Layer) -> Joint:
+        channels = tuple(name for name in self._spaces if name in layer)
+        parts = [layer[name] for name in channels]
+        y = np.concatenate([part for part, _ in parts], axis=1) if len(parts) > 1 else parts[0][0]
+        if all(mask is None for _, mask in parts):
+            return Joint(channels, y, None)
+        columns = [
+            np.broadcast_to(True if mask is None else mask[:, None], (len(y), self._spaces[name].n))
+            for name, (_, mask) in zip(channels, parts)
+        ]
+        return Joint(channels, y, np.concatenate(columns, axis=1))
+
+
+def _merge(
+    old: tuple[Array, Mask | None] | None, y: Array, mask: Mask | None
+) -> tuple[Array, Mask | None] | None:
+    """Old and new readings of one channel together, or None where a run would have two."""
+    if old is None:
+        return y, mask
+    before, had = old
+    if had is None or mask is None or (had & mask).any():
+        return None
+    both = had | mask
+    return np.where(mask[:, None], y, before), None if both.all() else both

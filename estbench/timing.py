@@ -1,0 +1,130 @@
+"""When channels sample, when their readings arrive, and the instants of the event loop.
+
+Times are counted in physics steps (ticks); every instant is one. A channel is due at
+phase, phase + period, ... (the first after t = 0; without a phase at its first period, as P₀ says
+what is known before). With jitter a run's reading is taken some ticks off; with latency it arrives
+some ticks later, at the first instant that is not earlier.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import streams
+from estbench.errors import ScenarioError
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Instant:
+    """The end of one interval of the event loop.
+
+    Attributes:
+        start, end: s.
+        nstep: physics steps between them.
+        channels: names of the channels that are due at `end`.
+        control: whether the controller is asked at `start`.
+        tick: physics steps since t = 0 at `end`.
+    """
+
+    start: float
+    end: float
+    nstep: int
+    channels: tuple[str, ...]
+    control: bool
+    tick: int
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Rate, phase, jitter and latency of a channel, in ticks.
+
+    Attributes:
+        period: between readings.
+        phase: of the first reading; 0 means one period.
+        jitter: largest deviation of the sampling time; less than half a period.
+        latency: mean time from sampling to arrival.
+        latency_std: its standard deviation.
+        timestep: s a tick.
+    """
+
+    period: int
+    phase: int = 0
+    jitter: int = 0
+    latency: float = 0.0
+    latency_std: float = 0.0
+    timestep: float = 1.0
+
+    @property
+    def punctual(self) -> bool:
+        """Whether every reading is taken and arrives when it is due."""
+        return not (self.jitter or self.latency or self.latency_std)
+
+    @property
+    def longest(self) -> int:
+        """Ticks after which a reading has all but surely arrived (five standard deviations)."""
+        return int(np.ceil(self.latency + 5 * self.latency_std - 1e-9)) + self.jitter
+
+    def due(self, ticks: int) -> Ints:
+        """Ticks `(reading,)` at which readings are due up to `ticks`."""
+        return np.arange(self.phase or self.period, ticks + 1, self.period)
+
+    def sampled(self, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
+        """Ticks `(reading, run)` at which each run's readings are taken."""
+        due = self.due(ticks)[:, None] + np.zeros(len(runs), np.int64)
+        if not self.jitter:
+            return due
+        z = streams.uniforms(seed, runs, f"sensor:{name}:jitter", len(due), 1)[..., 0]
+        off = np.floor(z * (2 * self.jitter + 1)).astype(np.int64) - self.jitter
+        return np.clip(due + off, 1, None)
+
+    def arrived(self, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
+        """Ticks `(reading, run)` at which the readings arrive; a latency is never negative.
+
+        A channel with jitter reports in fixed slots, when its latest sampling time has passed.
+        """
+        slot = (self.due(ticks) + self.jitter)[:, None] + np.zeros(len(runs), np.int64)
+        late = np.full(slot.shape, self.latency)
+        if self.latency_std:
+            z = streams.normals(seed, runs, f"sensor:{name}:latency", len(slot), 1)[..., 0]
+            late = np.maximum(late + self.latency_std * z, 0.0)
+        return slot + np.ceil(late - 1e-6).astype(np.int64)
+
+
+def instants(
+    channels: Sequence[tuple[str, Timing]], timestep: float, frame_skip: int, duration: float
+) -> list[Instant]:
+    """The instants of the event loop: every filter step and every sampling time, in order.
+
+    The last filter step ends at the duration rounded to a whole count of them (at least one).
+
+    Args:
+        channels: name and timing of each channel.
+        timestep: physics step, s.
+        frame_skip: physics steps of a filter step.
+        duration: s.
+    """
+    last_tick = max(1, round(duration / (timestep * frame_skip))) * frame_skip
+    ticks = set(range(frame_skip, last_tick + 1, frame_skip))
+    due: dict[int, list[str]] = {}
+    for name, timing in channels:
+        if timing.jitter and 2 * timing.jitter >= timing.period:
+            raise ScenarioError(
+                f"channels.{name}.jitter is {timing.jitter * timestep:g} s; it must be less than "
+                f"half the period {timing.period * timestep:g} s, or readings would change order"
+            )
+        for tick in timing.due(last_tick).tolist():
+            due.setdefault(tick, []).append(name)
+            around = range(tick - timing.jitter, tick + timing.jitter + 1)
+            ticks.update(t for t in around if 0 < t <= last_tick)
+    out: list[Instant] = []
+    before = 0
+    for tick in sorted(ticks):
+        names = tuple(due.get(tick, ()))
+        control = before % frame_skip == 0
+        out.append(Instant(before * timestep, tick * timestep, tick - before, names, control, tick))
+        before = tick
+    return out

@@ -1,0 +1,120 @@
+"""Every block of the documentation runs.
+
+```python blocks of one page run in order, in one namespace. In ```console and ```bash blocks the
+`estbench ...` commands run, `estbench run` cut short. A ```toml block with a [model] is a scenario.
+A block preceded by `<!-- no-test -->` is skipped.
+"""
+
+import doctest
+import importlib
+import pkgutil
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import estbench
+from estbench import cli
+from estbench.scenario import Scenario
+
+ROOT = Path(__file__).parents[1]
+PAGES = [p for p in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if p.is_file()]
+FENCE = re.compile(
+    r"^(?P<skip><!-- no-test -->\s*\n)?(?P<indent> *)```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^ *```",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def blocks(page, *kinds):
+    """(line, text) of the page's blocks of those kinds."""
+    text = page.read_text(encoding="utf-8")
+    for block in FENCE.finditer(text):
+        if block["kind"] in kinds and not block["skip"]:
+            lines = block["text"].splitlines()
+            inside = "\n".join(line.removeprefix(block["indent"]) for line in lines)
+            yield text.count("\n", 0, block.start("text")), inside + "\n"
+
+
+def commands(page):
+    """Each `estbench` command: what follows `$ `, up to a comment, a pipe or the next command."""
+    for kind in ("console", "bash", "sh"):
+        for line, text in blocks(page, kind):
+            for typed in text.replace("\\\n", " ").splitlines():
+                if kind == "console" and not typed.startswith("$ "):
+                    continue
+                for part in re.split(r"&&|;|\|", typed.removeprefix("$ ")):
+                    words = shlex.split(part, comments=True)
+                    if words[:1] == ["estbench"]:
+                        yield line, words
+
+
+COMMANDS = [
+    pytest.param(words, id=f"{page.name}:{line}: {shlex.join(words)}")
+    for page in PAGES
+    for line, words in commands(page)
+]
+
+
+def test_blocks_are_found(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "text\n```python\na = 1\n```\n<!-- no-test -->\n```python\n1 / 0\n```\n"
+        "- item\n  ```python\n  if a:\n      b = 2\n  ```\n"
+        "```console\n$ pip install . && estbench run cartpole -e 'a b' \\\n  --seed 1  # so\nout\n"
+        "estbench not typed\n$ estbench list | head\n```\n```bash\nestbench check cartpole\n```\n"
+    )
+    assert list(blocks(page, "python")) == [(2, "a = 1\n"), (10, "if a:\n    b = 2\n")]
+    assert [" ".join(words) for _, words in commands(page)] == [
+        "estbench run cartpole -e a b --seed 1", "estbench list", "estbench check cartpole",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_python_blocks(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    namespace = {"__name__": "__docs__"}
+    for line, text in blocks(page, "python"):
+        exec(compile("\n" * line + text, str(page), "exec"), namespace)
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_commands(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    short = ["--runs", "4", "--duration", "0.2"] if words[1] == "run" else []
+    monkeypatch.setattr(sys, "argv", [*words, *short])
+    with pytest.raises(SystemExit) as exit_:
+        cli.main()
+    assert not exit_.value.code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_toml_blocks(page):
+    for _, text in blocks(page, "toml"):
+        data = tomllib.loads(text)
+        if "model" in data:
+            Scenario.model_validate(data)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_to_files(page):
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+        assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def modules():
+    found = (m.name for m in pkgutil.walk_packages(estbench.__path__, "estbench."))
+    return ["estbench", *(name for name in found if not name.startswith("estbench.assets"))]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_docstrings(name):
+    try:
+        module = importlib.import_module(name)
+    except ImportError as error:
+        pytest.skip(f"an optional dependency is missing: {error}")
+    assert doctest.testmod(module).failed == 0
