@@ -96,12 +96,12 @@ def adopt(
     copied = _with_sensors(model, added, _file(env, xml)) if added else _bare_copy(model)
     channels, assumed = channels_of.build(copied, sections, use, frame_skip)
     for channel in channels:
-        if channel.period % frame_skip:
+        if channel.timing.period % frame_skip or channel.timing.phase % frame_skip:
             step = frame_skip * model.opt.timestep
             raise ScenarioError(
-                f"sensors.{channel.name}.rate: a reading every {channel.period} physics steps falls "
-                f"inside a step of the environment ({frame_skip}); use a rate of "
-                f"{1 / step:g} Hz over a whole number"
+                f"sensors.{channel.name}.rate: a reading every {channel.timing.period} physics steps, "
+                f"the first after {channel.timing.phase or channel.timing.period}, falls inside a step "
+                f"of the environment ({frame_skip}); use a rate of {1 / step:g} Hz over a whole number"
             )
     if notices:  # the default sensors: one line says it all
         std = [f"{c.name} ({np.sqrt(c.cov[0, 0]):g} {c.space.units[0]})" for c in channels]

@@ -5,7 +5,7 @@ episode is a hash of (key, step, purpose), so that a row behaves the same alone 
 """
 
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -62,18 +62,22 @@ class RowKeys:
 
 
 class RowNoise:
-    """Standard normals `(row, width)` step by step; each row counts its own steps.
+    """Random numbers `(row, width)` step by step; each row counts its own steps.
 
     They are made `BLOCK` steps at a time: a hash of a few numbers costs as much as one of many.
 
     Args:
         rows: how many.
         parts: purpose -> width; the parts stand side by side, each with numbers of its own.
+        kind: `random.normal` (standard normals) or `random.uniform` (on (0, 1)).
     """
 
     BLOCK = 32
 
-    def __init__(self, rows: int, parts: Mapping[str, int]):
+    def __init__(
+        self, rows: int, parts: Mapping[str, int], kind: Callable[..., Array] = random.normal
+    ):
+        self._kind = kind
         self._parts = [(purpose(word), width) for word, width in parts.items()]
         self._keys = np.zeros(rows, np.uint64)
         self._step = np.zeros(rows, np.int64)
@@ -87,7 +91,7 @@ class RowNoise:
         self._fill(mask)
 
     def draw(self, mask: Mask | None = None) -> Array:
-        """The next normals `(row, width)`; only the rows of the mask move on."""
+        """The next numbers `(row, width)`; only the rows of the mask move on."""
         place = self._step % self.BLOCK
         out = self._block[self._every, place]
         self._step += 1 if mask is None else mask
@@ -103,7 +107,7 @@ class RowNoise:
         start = 0
         for number, width in self._parts:
             stop = start + width
-            self._block[mask, :, start:stop] = random.normal(
+            self._block[mask, :, start:stop] = self._kind(
                 self._keys[mask], count, number, self.BLOCK, width
             )
             start = stop

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.envs.keys import Keys, Mask, RowNoise
-from estbench.manifold import Manifold
+from estbench.envs.errors import EnvError
+from estbench.envs.flaws import Flaws
+from estbench.envs.keys import Keys, Mask
 from estbench.models import layout
 from estbench.models.mujoco import needed_stage
 from estbench.models.rows import Rows
@@ -34,20 +35,23 @@ class Reading:
 
 
 class Readings:
-    """Noisy readings of `rows` robots.
+    """Readings of `rows` robots by sensors as they are.
 
     Args:
         model: compiled model that holds the sensors.
         channels: sensors in use.
         rows: how many robots.
         nthread: threads of the batch.
-        quiet: names of channels that read without noise, whatever R is believed.
+        quiet: names of channels without white noise, whatever R is believed.
 
     Attributes:
         space: the manifold of all channels' readings, one after the other.
         slots: channel -> its place in the tangent of `space`.
         last: the last reading of every channel `(row, ny)`.
         tick: physics steps since the reset `(row,)`.
+
+    Raises:
+        EnvError: a channel has latency or jitter.
     """
 
     def __init__(
@@ -58,23 +62,28 @@ class Readings:
         nthread: int = 1,
         quiet: Collection[str] = (),
     ):
-        self.channels, self._quiet = tuple(channels), frozenset(quiet)
+        for c in channels:
+            if not c.timing.punctual:
+                raise EnvError(
+                    f"channels.{c.name} has latency or jitter; an environment fuses readings at the "
+                    "time they are due, so set both to 0 here (`estbench run` handles them)"
+                )
+        self.channels = tuple(channels)
         self.space = layout.sensor_space(model, [c.index for c in channels])
         self.slots: dict[str, slice] = {}
         start = 0
         for c in channels:
             self.slots[c.name] = slice(start, start + c.space.n)
             start += c.space.n
+        starts = np.cumsum([0] + [c.space.nx for c in channels])
+        self._points = [slice(int(a), int(b)) for a, b in zip(starts, starts[1:])]
+        self._flaws = [Flaws(c, rows, c.name in quiet) for c in channels]
+        # Rhythms: (period, first reading) of channels that deliver together.
+        self._rhythms = sorted({(c.timing.period, c.timing.phase) for c in channels})
+        self._of = [self._rhythms.index((c.timing.period, c.timing.phase)) for c in channels]
         self._model, self._rows = model, Rows(model, nthread)
-        # Channels of one period deliver together, so they share a count of readings.
-        self._periods = sorted({c.period for c in channels})
-        self._noise = [
-            RowNoise(
-                rows, {f"sensor:{c.name}": c.space.n for c in channels if c.period == period}
-            )
-            for period in self._periods
-        ]
-        self._plans: dict[tuple[int, ...], _Plan] = {}
+        self._timestep = float(model.opt.timestep)
+        self._plans: dict[tuple[int, ...], tuple[NDArray[np.intp], int]] = {}
         self.tick = np.zeros(rows, np.int64)
         self.last = np.zeros((rows, self.space.nx))
 
@@ -90,19 +99,20 @@ class Readings:
             x: true states of all rows `(row, nx)`.
             u: controls `(row, nu)`.
         """
-        for noise in self._noise:
-            noise.start(mask, keys)
         self.tick[mask] = 0
-        plan = self._plan(tuple(range(len(self._periods))))
-        y = self._disturbed(plan, x, u, 0.0, [mask] * len(self._periods))
-        self.last[mask] = y[mask]
+        every, time = tuple(range(len(self.channels))), self.tick * self._timestep
+        clean = self._clean(every, x, u, 0.0)
+        for flaws, part in zip(self._flaws, self._points):
+            flaws.start(mask, keys, clean[:, part])
+            y, _ = flaws.read(clean[:, part], time, mask, keep=False)
+            self.last[mask, part] = y[mask]
 
     def stride(self, steps: int) -> int:
         """The most physics steps that divide `steps` and miss no reading, whatever the phase.
 
         It does not depend on where the rows are, so a row is the same in any company.
         """
-        return gcd(steps, *self._periods)
+        return gcd(steps, *(n for rhythm in self._rhythms for n in rhythm if n))
 
     def take(
         self, steps: int, x: Array, u: Array, t: float, mask: Mask | None = None
@@ -120,94 +130,46 @@ class Readings:
             What arrived, or None if nothing is due in any row.
         """
         self.tick += steps if mask is None else steps * mask
-        due = [self.tick % period == 0 for period in self._periods]
-        if mask is not None:
-            due = [d & mask for d in due]
-        active = tuple(g for g, d in enumerate(due) if d.any())
-        if not active:
+        due = [self._due(*rhythm, mask) for rhythm in self._rhythms]
+        taking = tuple(i for i, r in enumerate(self._of) if due[r] is not False)
+        if not taking:
             return None
-        plan = self._plan(active)
-        whole = all(due[g].all() for g in active)
-        y = self._disturbed(plan, x, u, t, [None if whole else due[g] for g in active])
-        if whole:
-            self.last[:, plan.point] = y
-            return Reading(y, plan.names, None)
-        here = np.stack([due[g] for g in active], axis=1)
-        self.last[:, plan.point] = np.where(here[:, plan.point_group], y, self.last[:, plan.point])
-        return Reading(y, plan.names, here[:, plan.tangent_group])
-
-    def _disturbed(
-        self, plan: "_Plan", x: Array, u: Array, t: float, due: Sequence[Mask | None]
-    ) -> Array:
-        y = self._rows.read(x, u, t, plan.stage, plan.columns)
-        white = np.empty((len(x), plan.space.n))
-        for place, group in enumerate(plan.groups):
-            white[:, plan.tangent_group == place] = self._noise[group].draw(due[place])
-        if plan.std is not None:
-            return plan.space.plus(y, plan.std * white)
-        # A stack of small products: one large product would depend on the count of rows.
-        return plan.space.plus(y, (plan.factor @ white[..., None])[..., 0])
-
-    def _plan(self, active: tuple[int, ...]) -> "_Plan":
-        if active not in self._plans:
-            self._plans[active] = self._make_plan(active)
-        return self._plans[active]
-
-    def _make_plan(self, active: tuple[int, ...]) -> "_Plan":
-        place = {self._periods[g]: i for i, g in enumerate(active)}
-        chosen = [c for c in self.channels if c.period in place]
-        widths_x, widths_t = [c.space.nx for c in chosen], [c.space.n for c in chosen]
-        starts = np.cumsum([0] + [c.space.nx for c in self.channels])
-        point = [
-            np.arange(start, start + c.space.nx)
-            for start, c in zip(starts, self.channels)
-            if c.period in place
+        clean, time = self._clean(taking, x, u, t), self.tick * self._timestep
+        parts, arrived, start = [], [], 0
+        for i in taking:
+            width = self.channels[i].space.nx
+            rows = due[self._of[i]]
+            rows = None if rows is True else rows
+            y, arrives = self._flaws[i].read(clean[:, start : start + width], time, rows)
+            here = rows if arrives is None else arrives if rows is None else rows & arrives
+            part = self._points[i]
+            self.last[:, part] = y if here is None else np.where(here[:, None], y, self.last[:, part])
+            parts.append(y)
+            arrived.append(here)
+            start += width
+        names = tuple(self.channels[i].name for i in taking)
+        y = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+        if all(here is None for here in arrived):
+            return Reading(y, names, None)
+        columns = [
+            np.broadcast_to(True if here is None else here[:, None], (len(x), c.space.n))
+            for here, c in zip(arrived, (self.channels[i] for i in taking))
         ]
-        groups = [place[c.period] for c in chosen]
-        factor = np.zeros((sum(widths_t), sum(widths_t)))
-        at = 0
-        for c, width in zip(chosen, widths_t):
-            if c.name not in self._quiet:
-                factor[at : at + width, at : at + width] = np.linalg.cholesky(c.cov)
-            at += width
-        diagonal = np.diagonal(factor)
-        indices = [c.index for c in chosen]
-        return _Plan(
-            groups=active,
-            names=tuple(c.name for c in chosen),
-            columns=np.concatenate([c.columns for c in chosen]),
-            stage=needed_stage(self._model, indices),
-            space=layout.sensor_space(self._model, indices),
-            point=np.concatenate(point),
-            point_group=np.repeat(groups, widths_x),
-            tangent_group=np.repeat(groups, widths_t),
-            factor=factor,
-            std=diagonal.copy() if np.array_equal(factor, np.diag(diagonal)) else None,
-        )
+        return Reading(y, names, np.concatenate(columns, axis=1))
 
+    def _due(self, period: int, phase: int, mask: Mask | None) -> Mask | bool:
+        """Rows in which a rhythm is due; True for all, False for none."""
+        since = self.tick - (phase or period)
+        due = (since >= 0) & (since % period == 0)
+        if mask is not None:
+            due &= mask
+        return True if due.all() else due if due.any() else False
 
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """How to read the channels of some periods.
-
-    Attributes:
-        groups: indices of the periods.
-        names: channels, in the robot's order.
-        columns: of sensordata.
-        stage: pipeline stage they need.
-        space: manifold of these readings.
-        point: their columns in the point of all readings.
-        point_group, tangent_group: which of `groups` a column belongs to.
-        factor: Cholesky factor of R; `std` is its diagonal if it has nothing else.
-    """
-
-    groups: tuple[int, ...]
-    names: tuple[str, ...]
-    columns: NDArray[np.intp]
-    stage: int
-    space: Manifold
-    point: NDArray[np.intp]
-    point_group: NDArray[np.intp]
-    tangent_group: NDArray[np.intp]
-    factor: Array
-    std: Array | None
+    def _clean(self, channels: tuple[int, ...], x: Array, u: Array, t: float) -> Array:
+        """Noise-free readings `(row, ny)` of some channels, one after the other."""
+        if channels not in self._plans:
+            chosen = [self.channels[i] for i in channels]
+            columns = np.concatenate([c.columns for c in chosen])
+            self._plans[channels] = (columns, needed_stage(self._model, [c.index for c in chosen]))
+        columns, stage = self._plans[channels]
+        return self._rows.read(x, u, t, stage, columns)

@@ -62,7 +62,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         if num_envs < 1:
             raise EnvError(f"num_envs is {num_envs}; use at least 1")
         if autoreset_mode not in MODES:
-            raise EnvError(f"autoreset_mode is '{autoreset_mode}'; use one of {', '.join(MODES)}")
+            raise EnvError(f"autoreset_mode is '{autoreset_mode}'; use one of NextStep, SameStep, Disabled")
         if render_mode not in (None, "rgb_array"):
             raise EnvError(f"render_mode is '{render_mode}'; a vector has 'rgb_array' or None")
         prepared = prepare(scenario, estimator, sensors, overrides)

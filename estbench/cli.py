@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estbench import experiment, inspection, store
 from estbench.errors import EstbenchError
+from estbench.report import commands
 
 app = typer.Typer(
     help="Which filter, with which sensors, on this robot, and can I trust its covariance?",
@@ -93,6 +94,9 @@ def check(scenario: Scenario, overrides: Overrides = None) -> None:
     _console().print(
         inspection.render_check(experiment.resolve(scenario, overrides=overrides or ()))
     )
+
+
+commands.register(app)
 
 
 def _console() -> Console:

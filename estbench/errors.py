@@ -49,7 +49,7 @@ class MissingExtraError(EstbenchError):
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A hint ` (did you mean 'x'?)` for a misspelt name, or the list of what there is."""
     known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=2, cutoff=0.5)
+    close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
     if close:
         return " (did you mean " + " or ".join(f"'{c}'" for c in close) + "?)"
     return f" (known: {', '.join(known)})" if known else ""

@@ -1,3 +1,4 @@
+import copy
 from functools import cache
 from types import SimpleNamespace
 
@@ -35,16 +36,19 @@ def prior(prepared, runs=RUNS):
 def run(estimator, prepared, trajectory, **options):
     source = Recorded(prepared.instants, trajectory)
     with engine():
-        return run_filter(estimator, prepared.space, prior(prepared), source, **options)
+        return run_filter(
+            estimator, prepared.space, prior(prepared), source, prepared.channel_spaces, **options
+        )
 
 
 def shaken(trajectory, run, step):
     """The trajectory with the truth of one run lost from one index on."""
-    x, y = trajectory.x.copy(), [reading.copy() for reading in trajectory.y]
+    x, deliveries = trajectory.x.copy(), copy.deepcopy(trajectory.deliveries)
     x[step:, run] = np.nan
-    for reading in y[step - 1 :]:
-        reading[run] = np.nan
-    return Trajectory(x, trajectory.u, y)
+    for arrived in deliveries[step - 1 :]:
+        for delivery in arrived:
+            delivery.y[run] = np.nan
+    return Trajectory(x, trajectory.u, deliveries)
 
 
 # What is recorded
@@ -62,9 +66,10 @@ def test_traces_are_those_of_a_loop_by_hand(name):
             belief = ekf.predict(
                 belief, trajectory.u[k], instant.start, instant.end - instant.start
             )
-            if trajectory.y[k] is not None:
+            if trajectory.deliveries[k]:
+                y = np.concatenate([d.y for d in trajectory.deliveries[k]], axis=1)
                 belief, innovation = ekf.update(
-                    belief, trajectory.y[k], trajectory.u[k], instant.end, instant.channels
+                    belief, y, trajectory.u[k], instant.end, instant.channels
                 )
                 np.testing.assert_array_equal(traces.nis[k], innovation.nis)
                 np.testing.assert_array_equal(traces.dof[k], innovation.dof)
@@ -133,7 +138,9 @@ def test_live_asks_the_controller_with_the_estimate():
 
     live = Live(prepared.simulator(range(RUNS)), controller, prepared.plant.period)
     with engine():
-        traces = run_filter(EKF(prepared.model()), prepared.space, prior(prepared), live)
+        traces = run_filter(
+            EKF(prepared.model()), prepared.space, prior(prepared), live, prepared.channel_spaces
+        )
     assert [k for k, *_ in seen] == list(range(30))
     np.testing.assert_allclose([t for _, t, _ in seen], prepared.times[:-1])
     np.testing.assert_array_equal([x for *_, x in seen], traces.mean[:-1])
@@ -171,7 +178,7 @@ def test_live_never_shows_the_controller_a_failed_estimate():
     live = Live(prepared.simulator(range(RUNS)), controller, prepared.plant.period)
     broken = Sabotage(prepared.model(), 4, lambda b: b.mean.__setitem__(2, np.nan))
     with engine():
-        traces = run_filter(broken, prepared.space, prior(prepared), live)
+        traces = run_filter(broken, prepared.space, prior(prepared), live, prepared.channel_spaces)
     assert np.isnan(traces.mean[4:, 2]).all()
     assert np.isfinite(seen).all()
 
@@ -320,7 +327,9 @@ def test_a_prior_that_is_not_positive_definite_fails_at_step_zero():
     cov[3] *= -1
     source = Recorded(prepared.instants, trajectory)
     with engine():
-        traces = run_filter(EKF(prepared.model()), prepared.space, (mean, cov), source)
+        traces = run_filter(
+            EKF(prepared.model()), prepared.space, (mean, cov), source, prepared.channel_spaces
+        )
     assert (traces.fault[3], traces.fault_step[3]) == (Fault.COVARIANCE, 0)
     assert traces.fault.sum() == Fault.COVARIANCE
 

@@ -6,6 +6,7 @@ from scipy import stats
 from estbench import sensors
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.scenario import ChannelSection
+from estbench.timing import Timing, instants
 from tests.helpers import zoo_model
 
 FULL_R = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.05]]
@@ -152,13 +153,9 @@ def test_a_model_without_sensors():
 # When each delivers
 
 
-def fake(name, period):
-    return sensors.Channel(name, 0, None, None, period, None)
-
-
 def schedule(periods, frame_skip=1, duration=0.05, timestep=0.005):
-    channels = [fake(f"p{p}", p) for p in periods]
-    return sensors.schedule(channels, timestep, frame_skip, duration)
+    channels = [(f"p{p}", Timing(p, timestep=timestep)) for p in periods]
+    return instants(channels, timestep, frame_skip, duration)
 
 
 def test_rate_becomes_a_period_of_physics_steps():
@@ -169,24 +166,24 @@ def test_rate_becomes_a_period_of_physics_steps():
 
 def test_multi_rate_schedule_by_hand():
     # 5 ms steps, a filter step of 2 of them; channels every 1, 2 and 3 steps; 6 steps in all.
-    instants = schedule([1, 2, 3], frame_skip=2, duration=0.03)
-    assert [i.channels for i in instants] == [
+    found = schedule([1, 2, 3], frame_skip=2, duration=0.03)
+    assert [i.channels for i in found] == [
         ("p1",), ("p1", "p2"), ("p1", "p3"), ("p1", "p2"), ("p1",), ("p1", "p2", "p3"),
     ]  # fmt: skip
-    assert [i.control for i in instants] == [True, False] * 3
-    assert [i.nstep for i in instants] == [1] * 6
+    assert [i.control for i in found] == [True, False] * 3
+    assert [i.nstep for i in found] == [1] * 6
 
 
 def test_a_slow_channel_leaves_instants_without_a_reading():
-    instants = schedule([4], frame_skip=2, duration=0.04)
-    assert [i.channels for i in instants] == [(), ("p4",), (), ("p4",)]
-    assert [i.nstep for i in instants] == [2] * 4
-    assert all(i.control for i in instants)
+    found = schedule([4], frame_skip=2, duration=0.04)
+    assert [i.channels for i in found] == [(), ("p4",), (), ("p4",)]
+    assert [i.nstep for i in found] == [2] * 4
+    assert all(i.control for i in found)
 
 
 def test_a_rate_that_does_not_fit_the_filter_step_splits_it():
-    instants = schedule([3], frame_skip=2, duration=0.03)
-    assert [(round(i.end / 0.005), i.nstep, i.channels, i.control) for i in instants] == [
+    found = schedule([3], frame_skip=2, duration=0.03)
+    assert [(round(i.end / 0.005), i.nstep, i.channels, i.control) for i in found] == [
         (2, 2, (), True),
         (3, 1, ("p3",), True),
         (4, 1, (), False),
@@ -197,16 +194,17 @@ def test_a_rate_that_does_not_fit_the_filter_step_splits_it():
 @pytest.mark.parametrize("periods", [[1], [3, 7], [2, 5]])
 @pytest.mark.parametrize("frame_skip", [1, 2, 3])
 def test_instants_join_and_every_reading_is_on_time(periods, frame_skip):
-    instants = schedule(periods, frame_skip, 0.5)
-    ticks = [round(i.end / 0.005) for i in instants]
-    assert instants[0].start == 0.0
-    assert [i.start for i in instants[1:]] == [i.end for i in instants[:-1]]
-    assert np.cumsum([i.nstep for i in instants]).tolist() == ticks
+    found = schedule(periods, frame_skip, 0.5)
+    ticks = [round(i.end / 0.005) for i in found]
+    assert found[0].start == 0.0
+    assert [i.tick for i in found] == ticks
+    assert [i.start for i in found[1:]] == [i.end for i in found[:-1]]
+    assert np.cumsum([i.nstep for i in found]).tolist() == ticks
     assert ticks[-1] == round(100 / frame_skip) * frame_skip
     for period in periods:
-        delivered = [t for t, i in zip(ticks, instants) if f"p{period}" in i.channels]
+        delivered = [t for t, i in zip(ticks, found) if f"p{period}" in i.channels]
         assert delivered == list(range(period, ticks[-1] + 1, period))
-    asked = [round(i.start / 0.005) for i in instants if i.control]
+    asked = [round(i.start / 0.005) for i in found if i.control]
     assert asked == list(range(0, ticks[-1], frame_skip))
 
 

@@ -23,7 +23,8 @@ def traces(runs=6, steps=4, n=2, seed=0, spread=1.0):
     return Traces(
         truth=mean + error, mean=mean, error=error, std=np.ones_like(error) * rng.uniform(1, 2, n),
         nees=(error**2).sum(axis=-1), nis=nis, dof=dof, lag_one=rng.normal(0, 0.1, runs),
-        fault=np.zeros(runs, np.uint8), fault_step=np.full(runs, -1), cpu_time=6e-3,
+        fault=np.zeros(runs, np.uint8), fault_step=np.full(runs, -1), late=np.arange(runs),
+        cpu_time=6e-3,
         cov=np.tile(np.eye(n), (steps + 1, runs, 1, 1)),
     )  # fmt: skip
 

@@ -39,7 +39,15 @@ def test_numbers_are_standard_normal_and_uncorrelated_between_streams():
 
 @pytest.mark.parametrize("shape", [(0, 3), (4, 0)])
 def test_nothing_to_draw(shape):
-    assert streams.normals(0, range(2), "process", *shape).shape == (shape[0], 2, shape[1])
+    for draw in (streams.normals, streams.uniforms):
+        assert draw(0, range(2), "process", *shape).shape == (shape[0], 2, shape[1])
+
+
+def test_uniforms_are_those_of_the_run_in_any_batch():
+    whole = streams.uniforms(5, range(4), "sensor:gyro:dropout", 5000, 1)
+    some = streams.uniforms(5, [3], "sensor:gyro:dropout", 20, 1)
+    np.testing.assert_array_equal(some[:, 0], whole[:20, 3])
+    assert stats.kstest(whole.ravel(), "uniform").pvalue > 1e-7
 
 
 def test_keys_depend_on_seed_run_and_purpose_only():
@@ -53,7 +61,7 @@ def test_keys_depend_on_seed_run_and_purpose_only():
 def readings(overrides, runs=range(3)):
     prepared = setup.build(experiment.resolve("cartpole", duration=0.2, overrides=overrides))
     simulator = prepared.simulator(runs)
-    return {c.name: simulator._noise[c.name] for c in prepared.channels}, simulator
+    return {r.channel.name: r._noise for r in simulator._readings}, simulator
 
 
 def test_adding_a_sensor_leaves_the_truth_and_the_other_sensors_noise():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from estbench import sensors, streams, truth
+from estbench import sensors, streams, timing, truth
 from estbench.models import mjcf
 from estbench.models.disturbance import Disturbance
 from estbench.models.layout import state_space
@@ -20,8 +20,8 @@ def build(name, kind="additive", density=0.0, runs=range(3), spread=0.1, frame_s
     space = state_space(model)
     steps, draws = options.get("steps", 20), options.get("draws", {})
     channels, _ = sensors.build(model, options.get("channels", {}), None, frame_skip)
-    dt = model.opt.timestep
-    instants = sensors.schedule(channels, dt, frame_skip, steps * frame_skip * dt)
+    dt, timings = model.opt.timestep, [(c.name, c.timing) for c in channels]
+    instants = timing.instants(timings, dt, frame_skip, steps * frame_skip * dt)
     mean = random_states(model, 1, seed=1, scale=0.2)[0][0]
     disturbance = Disturbance.build(model, space, kind, density)
     initial = (mean, spread * np.eye(space.n))
@@ -48,6 +48,16 @@ def set_state(model, data, x):
 
 def get_state(data):
     return np.concatenate([data.qpos, data.qvel, data.act])
+
+
+def readings(trajectory):
+    """What arrived at each instant: {channel: y `(run, ny)`}."""
+    return [{d.channel: d.y for d in arrived} for arrived in trajectory.deliveries]
+
+
+def noise(simulator):
+    """Channel -> the noise of its readings `(reading, run, m)`."""
+    return {r.channel.name: r._noise for r in simulator._readings}
 
 
 # Without noise
@@ -77,35 +87,30 @@ def test_readings_are_those_of_the_end_state_without_the_disturbance(kind):
     simulator = build("sensors", kind, 0.01)
     model = simulator._model
     trajectory, control = simulate(simulator), wave(model, 3)
-    data = mujoco.MjData(model)
+    y, v, data = readings(trajectory), noise(simulator), mujoco.MjData(model)
     for k, instant in enumerate(simulator.instants):
         for run in range(3):
             set_state(model, data, trajectory.x[k + 1, run])
             data.ctrl = mjcf.clamp(model, control(k, instant.start, None))[run]
             data.time = instant.end
             mujoco.mj_forward(model, data)
-            start = 0
-            for channel in simulator._channels.values():
-                part = slice(start, start + channel.space.nx)
+            assert list(y[k]) == list(simulator._channels)
+            for name, channel in simulator._channels.items():
                 clean = data.sensordata[channel.columns][None]
-                noise = simulator._noise[channel.name][k, run][None]
-                expected = channel.space.plus(clean, noise)[0]
-                np.testing.assert_allclose(trajectory.y[k][run, part], expected, atol=1e-12)
-                start = part.stop
-            assert start == trajectory.y[k].shape[1]
+                expected = channel.space.plus(clean, v[name][k, run][None])[0]
+                np.testing.assert_allclose(y[k][name][run], expected, atol=1e-12)
 
 
 def test_channels_of_different_rate_take_their_noise_in_order():
     slow = {"gyro": sensors.ChannelSection(rate=250 / 3)}
     simulator = build("joints", channels=slow, steps=9)
     trajectory = simulate(simulator)
-    taken = 0
-    for k, (instant, y) in enumerate(zip(simulator.instants, trajectory.y)):
-        assert ("gyro" in instant.channels) == (k % 3 == 2)
-        if "gyro" in instant.channels:
-            clean = simulator.clean(instant, trajectory.x[k + 1], trajectory.u[k])
-            noise = simulator._noise["gyro"][taken]
-            np.testing.assert_array_equal(y[:, -3:], clean[:, -3:] + noise)
+    gyro, taken = [simulator._channels["gyro"]], 0
+    for k, (instant, y) in enumerate(zip(simulator.instants, readings(trajectory))):
+        assert ("gyro" in instant.channels) == ("gyro" in y) == (k % 3 == 2)
+        if "gyro" in y:
+            clean = simulator.clean(gyro, instant.end, trajectory.x[k + 1], trajectory.u[k])
+            np.testing.assert_array_equal(y["gyro"], clean + noise(simulator)["gyro"][taken])
             taken += 1
     assert taken == 3
 
@@ -113,7 +118,7 @@ def test_channels_of_different_rate_take_their_noise_in_order():
 def test_an_instant_without_a_reading():
     slow = {name: sensors.ChannelSection(rate=125) for name in ("touch", "accel")}
     trajectory = simulate(build("contact", channels=slow, steps=8))
-    assert [y is not None for y in trajectory.y] == [False, False, False, True] * 2
+    assert [len(y) for y in readings(trajectory)] == [0, 0, 0, 2] * 2
 
 
 # The disturbance: a correct program fails each with a probability below 1e-6
@@ -203,10 +208,8 @@ def test_each_run_has_its_own_parameter(key, draw):
             sensed = mujoco.MjData(model)
             set_state(model, sensed, trajectory.x[k + 1, run])
             mujoco.mj_forward(model, sensed)
-            noise = simulator._noise["gyro"][k, run]
-            start = simulator._channels["gyro"].columns[0]  # all sensors are in use
-            got = trajectory.y[k][run, start : start + 3]
-            np.testing.assert_allclose(got - noise, sensed.sensor("gyro").data, atol=1e-9)
+            got = readings(trajectory)[k]["gyro"][run] - noise(simulator)["gyro"][k, run]
+            np.testing.assert_allclose(got, sensed.sensor("gyro").data, atol=1e-9)
     assert (np.abs(trajectory.x[-1] - nominal.x[-1]).max(axis=-1) > 1e-9).all()
     np.testing.assert_array_equal(trajectory.x[0], nominal.x[0])
 
@@ -238,10 +241,13 @@ def test_a_run_that_blows_up_is_nan_and_the_others_are_untouched(name):
     assert 6 <= first <= 10
     assert failed[first:, 2].all()  # no silent reset
     assert np.isnan(blown.x[first:, 2]).all()
-    assert np.isnan(np.array(blown.y)[first:, 2]).all()
+    late, early = readings(blown), readings(calm)
+    assert all(np.isnan(y[2]).all() for arrived in late[first:] for y in arrived.values())
     others = [0, 1, 3]
     np.testing.assert_array_equal(blown.x[:, others], calm.x[:, others])
-    np.testing.assert_array_equal(np.array(blown.y)[:, others], np.array(calm.y)[:, others])
+    for a, b in zip(late, early):
+        for name in a | b:
+            np.testing.assert_array_equal(a[name][others], b[name][others])
     assert np.isfinite(seen).all()  # the controller never sees the NaN
 
 
@@ -251,7 +257,7 @@ def test_a_run_that_blew_up_has_no_attitude_either():
     blown = simulate(simulator)
     assert np.isfinite(blown.x[:, 0]).all()
     assert np.isnan(blown.x[:, 1]).all()
-    assert np.isnan(np.array(blown.y)[:, 1]).all()
+    assert all(np.isnan(y[1]).all() for arrived in readings(blown) for y in arrived.values())
 
 
 def test_finite_replaces_whole_rows():

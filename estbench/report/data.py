@@ -6,6 +6,7 @@ anything out, and they are for drawing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,13 +181,14 @@ def thin(values: Array, points: int = POINTS) -> NDArray[np.intp]:
     if count <= points:
         return np.arange(count)
     table = np.asarray(values, float).reshape(count, -1)
-    low, high = np.where(np.isfinite(table), table, np.inf), np.where(
-        np.isfinite(table), table, -np.inf
+    low, high = (
+        np.where(np.isfinite(table), table, np.inf),
+        np.where(np.isfinite(table), table, -np.inf),
     )
     buckets = max(1, points // (2 * table.shape[1]))
     edges = np.linspace(0, count, buckets + 1).astype(int)
     keep = {0, count - 1}
-    for start, stop in zip(edges[:-1], edges[1:]):
+    for start, stop in pairwise(edges):
         if stop > start:
             keep.update(start + low[start:stop].argmin(axis=0))
             keep.update(start + high[start:stop].argmax(axis=0))

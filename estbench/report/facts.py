@@ -158,10 +158,9 @@ def _differences(source: Source) -> list[str]:
         spread = [f"{100 * draw.relative_std:g}%"] if draw.relative_std else []
         spread += [f"{draw.std:g}"] if draw.std else []
         lines.append(f"truth: {key} drawn once a run, σ = {' + '.join(spread) or '0'}")
-    default = type(scenario.filter)()
-    for name in type(scenario.filter).model_fields:
+    for name, field in type(scenario.filter).model_fields.items():
         value = getattr(scenario.filter, name)
-        if value != getattr(default, name):
+        if value != field.get_default(call_default_factory=True):
             lines += (
                 [f"filter: {k} = {v}" for k, v in value.items()]
                 if isinstance(value, dict)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from estbench.consistency import chi_square_band
 from estbench.errors import EstbenchError, MissingExtraError, StoreError, did_you_mean
 from estbench.report import data, palette, traces
 from estbench.report.data import Steps, thin
@@ -24,7 +23,7 @@ except ImportError:
 WIDTHS = {1: 3.5, 2: 7.16}
 """Inches of one and of two columns (IEEE)."""
 FORMATS = ("png", "pdf", "svg")
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 8, "axes.titlesize": 8, "axes.labelsize": 8, "legend.fontsize": 7.5,
     "xtick.labelsize": 7, "ytick.labelsize": 7, "axes.linewidth": 0.6, "lines.linewidth": 1.0,
     "axes.grid": True, "grid.linewidth": 0.4, "grid.color": "#dddddd", "axes.axisbelow": True,
@@ -57,7 +56,9 @@ class Paper:
         for name in self.coordinates:
             if name not in names:
                 raise EstbenchError(f"no coordinate '{name}'{did_you_mean(name, names)}")
-        return [i for i, name in enumerate(names) if not self.coordinates or name in self.coordinates]
+        return [
+            i for i, name in enumerate(names) if not self.coordinates or name in self.coordinates
+        ]
 
     def title(self, i: int) -> str:
         """Name and unit of a coordinate."""

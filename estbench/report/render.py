@@ -48,7 +48,7 @@ class Renderer:
         self.camera, self._follows = _camera(model, camera)
         self._option = plain()
         self._truth, self._ghost = mujoco.MjData(model), mujoco.MjData(model)
-        self._gl = context(width, height)
+        self._gl: Any = context(width, height)
         self._gl.make_current()
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)

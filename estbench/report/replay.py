@@ -12,7 +12,7 @@ from estbench import experiment, setup
 from estbench.consistency import chi_square_band
 from estbench.errors import EstbenchError, EstimatorError, StoreError
 from estbench.models.rows import engine
-from estbench.report.sources import Entry, load
+from estbench.report.sources import Entry, array, load
 from estbench.scenario import Scenario
 from estbench.store import STORE
 
@@ -101,7 +101,7 @@ def of_entry(entry: Entry, run: int) -> Replay:
     if source.scenario.control.observe == "estimate":  # each estimator has a truth of its own
         truth = prepared.space.plus(estimate, group["error"].values)
     else:
-        truth = source.tree["truth/x"].isel(run=place).values
+        truth = array(source.tree, "truth/x").isel(run=place).values
     correlated = True
     if "cov" in group:
         cov = group["cov"].values

@@ -61,7 +61,13 @@ class Source:
     @property
     def has_traces(self) -> bool:
         """Whether errors and estimates of every run were kept."""
-        return "error" in self.tree[self.attrs["estimators"][0]]
+        return "error" in self.group(self.attrs["estimators"][0])
+
+    def group(self, label: str) -> xr.Dataset:
+        """The arrays of an estimator, lazily read."""
+        node = self.tree[label]
+        assert isinstance(node, xr.DataTree)
+        return node.to_dataset()
 
     @property
     def level(self) -> float:
@@ -95,11 +101,11 @@ class Entry:
     @property
     def group(self) -> xr.Dataset:
         """The estimator's arrays in the store, lazily read."""
-        return self.source.tree[self.label].to_dataset()
+        return self.source.group(self.label)
 
     def position(self, run: int) -> int | None:
         """Where a run stands in the store, or None if it is not there."""
-        found = np.flatnonzero(self.source.tree["run"].values == run)
+        found = np.flatnonzero(read(self.source.tree, "run") == run)
         return int(found[0]) if len(found) and run in self.source.runs else None
 
 
@@ -138,6 +144,23 @@ def load(folders: Sequence[str | Path], estimators: Sequence[str] = ()) -> list[
     return entries
 
 
+def read(tree: xr.DataTree, path: str) -> NDArray[Any]:
+    """An array of a store, in memory."""
+    return array(tree, path).values
+
+
+def array(tree: xr.DataTree, path: str) -> xr.DataArray:
+    """An array of a store, lazily read.
+
+    Raises:
+        KeyError: there is no such array.
+    """
+    node = tree[path]
+    if not isinstance(node, xr.DataArray):
+        raise KeyError(path)
+    return node
+
+
 def _titles(paths: Sequence[Path]) -> list[str]:
     """The folders' names, with as many parents as it takes to tell them apart."""
     parts = [path.resolve().parts for path in paths]
@@ -156,27 +179,28 @@ def _source(folder: Path, title: str) -> Source:
         raise StoreError(f"{folder} holds no {SCENARIO}; name a folder that `estbench run` wrote")
     tree = open_results(folder)
     try:
-        done = tree["done"].values.astype(bool)
-        attrs = dict(tree.attrs)
+        done = read(tree, "done").astype(bool)
+        attrs = {str(key): value for key, value in tree.attrs.items()}
         label = attrs["estimators"][0]
-        size = tree[f"{label}/anees"].encoding["chunks"][0]
-        count = tree[f"{label}/count"].sizes["batch"]
-        units = tuple(str(u) for u in tree["unit"].values)
+        size = array(tree, f"{label}/anees").encoding["chunks"][0]
+        count = array(tree, f"{label}/count").sizes["batch"]
+        units = tuple(str(u) for u in read(tree, "unit"))
+        numbers = read(tree, "run")
     except KeyError as error:
         raise StoreError(f"{folder} is not a store of estbench: it holds no {error}") from None
     slices = [slice(b * size, min((b + 1) * size, len(done))) for b in range(count)]
     finished = tuple(s for s in slices if done[s].all())
     if not finished:
         raise StoreError(f"{folder} has no finished run yet; wait for the first batch")
-    runs = np.concatenate([tree["run"].values[s] for s in finished])
+    runs = np.concatenate([numbers[s] for s in finished])
     return Source(
         folder=folder,
         title=title,
         scenario=scenarios.load(folder),
         attrs=attrs,
-        names=tuple(str(name) for name in tree["coordinate"].values),
+        names=tuple(str(name) for name in read(tree, "coordinate")),
         units=units,
-        times=tree["time"].values,
+        times=read(tree, "time"),
         runs=runs,
         total=len(done),
         batches=finished,
@@ -185,7 +209,7 @@ def _source(folder: Path, title: str) -> Source:
 
 
 def _entry(source: Source, label: str, key: str) -> Entry:
-    group = source.tree[label].to_dataset()
+    group = source.group(label)
     starts = [s.start for s in source.batches]
     size = group["anees"].encoding["chunks"][0]
     batches = [start // size for start in starts]

@@ -1,4 +1,4 @@
-"""Statistics that need the traces of every run, read batch by batch so that any store fits memory."""
+"""Statistics that need the traces of every run, read batch by batch so that any store fits."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -72,13 +72,15 @@ def statistics(entry: Entry) -> TraceStatistics | None:
     source, n = entry.source, entry.source.n
     edges = np.linspace(0.0, float(stats.chi2.ppf(0.9999, n)), NEES_BINS + 1)
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        parts = list(pool.map(lambda piece: _part(entry, *piece, edges), _pieces(entry)))
+        parts = list(
+            pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), _pieces(entry))
+        )
     coverage = np.concatenate([p.coverage for p in parts])
     total = sum(p.total for p in parts)
-    errors = sum(p.errors for p in parts)
-    nees = sum(p.nees for p in parts)
-    out = sum(p.out for p in parts)
-    products, pairs = sum(p.products for p in parts), sum(p.pairs for p in parts)
+    errors, nees, out, products, pairs, fourth = (
+        np.sum([getattr(p, name) for p in parts], axis=0)
+        for name in ("errors", "nees", "out", "products", "pairs", "fourth")
+    )
     left: dict[int, float] = {}
     for part in parts:
         left |= part.left
@@ -97,7 +99,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
             outside=(float(out[0] / out[1]), float(out[2] / out[3]) if out[3] else np.nan),
             correlation=mean / mean[0],
             correlation_band=z / np.sqrt(pairs),
-            fourth=np.sum([p.fourth for p in parts], axis=0),
+            fourth=fourth,
             left=left,
         )
 

@@ -6,13 +6,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
-from estbench.report.replay import Replay
 from estbench.report.render import Renderer
+from estbench.report.replay import Replay
 
 try:
     from PIL import Image, ImageDraw, ImageFont
@@ -252,12 +253,13 @@ def _encoder() -> None:
 def _mp4(pictures: Iterator[NDArray], path: Path, look: Look) -> None:
     import imageio_ffmpeg
 
-    writer = imageio_ffmpeg.write_frames(
-        str(path), (look.width, look.height + look.strip), fps=look.fps, codec="libx264",
-        pix_fmt_in="rgb24", pix_fmt_out="yuv420p", macro_block_size=2, quality=None,
-        output_params=["-crf", "25", "-preset", "medium", "-movflags", "+faststart"],
-        ffmpeg_log_level="error",
-    )  # fmt: skip
+    settings: dict[str, Any] = {
+        "fps": look.fps, "codec": "libx264", "pix_fmt_in": "rgb24", "pix_fmt_out": "yuv420p",
+        "macro_block_size": 2, "quality": None, "ffmpeg_log_level": "error",
+        "output_params": ["-crf", "25", "-preset", "medium", "-movflags", "+faststart"],
+    }  # fmt: skip
+    size = (look.width, look.height + look.strip)
+    writer = imageio_ffmpeg.write_frames(str(path), size, **settings)
     writer.send(None)
     try:
         for picture in pictures:
@@ -267,9 +269,7 @@ def _mp4(pictures: Iterator[NDArray], path: Path, look: Look) -> None:
 
 
 def _gif(pictures: Iterator[NDArray], path: Path, look: Look) -> None:
-    first, *rest = [
-        Image.fromarray(p).quantize(128, dither=Image.Dither.NONE) for p in pictures
-    ]
+    first, *rest = [Image.fromarray(p).quantize(128, dither=Image.Dither.NONE) for p in pictures]
     first.save(
         path, save_all=True, append_images=rest, duration=round(1000 / look.fps), loop=0,
         optimize=True,

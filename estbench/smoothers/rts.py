@@ -1,4 +1,4 @@
-"""Rauch-Tung-Striebel smoother for the linear and extended filters (Särkkä 2013, eq. 8.6, ch. 9)."""
+"""Rauch-Tung-Striebel smoother for linear and extended filters (Särkkä 2013, eq. 8.6, ch. 9)."""
 
 from collections.abc import Sequence
 from typing import Any

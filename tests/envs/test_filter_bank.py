@@ -3,7 +3,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from estbench.envs.filter import FilterBank, select
+from estbench.envs.filter import FilterBank
+from estbench.envs.merge import select
 from estbench.envs.world import World, prepare
 from estbench.errors import EstimatorError
 from estbench.manifold import Manifold

@@ -276,7 +276,7 @@ def test_only_mujoco_environments():
          "sensors.a.rate: .*sensors.a.nose: unknown key .did you mean 'noise'"),
         ({"sensors": "no.toml"}, ScenarioError, "sensors 'no.toml' cannot be read"),
         ({"sensors": {"a": {**SLIDE["slider_encoder"], "rate": 50}}}, ScenarioError,
-         "sensors.a.rate: a reading every 1 physics steps falls inside a step"),
+         r"sensors.a.rate: a reading every 1 physics steps, .* falls inside a step"),
         ({"sensors": {"a": {**SLIDE["slider_encoder"], "noise": -1}}}, CovarianceError, "noise is -1"),
         ({"estimator": "ukff"}, EstimatorError, "no estimator 'ukff' .did you mean 'ukf'"),
         ({"estimator": {"alpha": 1}}, EnvError, "a table needs a type"),
@@ -307,8 +307,6 @@ def test_another_models_xml():
 
 
 def test_a_changed_observation_cannot_be_computed_at_the_estimate():
-    env = wrappers.RescaleObservation(gym.make("InvertedPendulum-v5"), -1, 1)
-    del env
     inner = wrappers.FlattenObservation(wrappers.FrameStackObservation(gym.make("Hopper-v5"), 2))
     with pytest.raises(EnvError, match=r"a wrapper between has changed it; put EstimatedObservation"):
         EstimatedObservation(inner)

@@ -298,7 +298,7 @@ def test_process_noise_against_monte_carlo(name, kind):
     mj, rng = model.mjmodel, np.random.default_rng(0)
     x, u = random_states(mj, 1)
     k, dt = 3, 3 * mj.opt.timestep
-    noise = model.disturbance.sample(rng.standard_normal((count, model.disturbance.rank)), dt)
+    noise = model.disturbance.sample(rng.standard_normal((count, model.disturbance.rank)), 0.0, dt)
     ends = []
     for w in noise:
         data = at(mj, x[0], u[0] + (w if kind == "actuator" else 0.0))

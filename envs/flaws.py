@@ -1,0 +1,97 @@
+"""One channel's noise and imperfections on many robots, each at its own time since its reset."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import imperfections, random
+from estbench.envs.keys import Keys, Mask, RowNoise, purpose
+from estbench.envs.merge import select
+from estbench.schedules import factor
+from estbench.sensors import Channel
+
+Array = NDArray[np.float64]
+
+
+class Flaws:
+    """What a channel does to its true reading; see `estbench.imperfections`.
+
+    Args:
+        channel: the sensor.
+        rows: how many robots.
+        quiet: whether it has no white noise, whatever R is believed.
+    """
+
+    def __init__(self, channel: Channel, rows: int, quiet: bool = False):
+        self.channel, self._rows = channel, rows
+        self._factor = np.zeros_like(channel.cov) if quiet else np.linalg.cholesky(channel.cov)
+        word, part = f"sensor:{channel.name}", channel.part
+        self._white = RowNoise(rows, {word: channel.space.n})
+        self._normals: dict[str, int] = {} if part is None else part.normals(channel.space.n)
+        self._uniforms: dict[str, int] = {} if part is None else part.uniforms()
+        self._draws = [
+            (named, RowNoise(rows, {f"{word}:{k}": w for k, w in named.items()}, kind))
+            for named, kind in ((self._normals, random.normal), (self._uniforms, random.uniform))
+            if named
+        ]
+        self._state: imperfections.State | None = None
+
+    def start(self, mask: Mask, keys: Keys, clean: Array) -> None:
+        """Switch the sensor on in the rows of a mask: its constants are drawn.
+
+        Args:
+            mask: `(row,)`.
+            keys: random keys of these rows `(mask.sum(),)`.
+            clean: noise-free readings of all rows `(row, ny)`.
+        """
+        self._white.start(mask, keys)
+        for _, noise in self._draws:
+            noise.start(mask, keys)
+        part, m = self.channel.part, self.channel.space.n
+        if part is None:
+            return
+        draws, zero = {}, np.zeros(len(keys), np.uint64)
+        for name, width in part.constants(m).items():
+            draws[name] = np.zeros((self._rows, width))
+            number = purpose(f"sensor:{self.channel.name}:{name}")
+            draws[name][mask] = random.normal(keys, zero, number, width)
+        fresh = imperfections.start(part, draws, self._rows, m)
+        # A row keeps its own time; `deliver` takes it as it takes a number.
+        fresh = replace(fresh, time=np.zeros((self._rows, 1)), last=clean if part.stuck else None)
+        self._state = fresh if self._state is None else select(mask, fresh, self._state, "sensor")
+
+    def read(
+        self, clean: Array, time: Array, due: Mask | None, keep: bool = True
+    ) -> tuple[Array, Mask | None]:
+        """A reading of all rows.
+
+        Args:
+            clean: noise-free readings `(row, ny)`.
+            time: since each row's reset `(row,)`, s.
+            due: rows that take it; None is all.
+            keep: whether it changes the sensor's memory.
+
+        Returns:
+            Readings `(row, ny)` and where they arrive `(row,)` (None: in all rows that take it).
+        """
+        channel = self.channel
+        # A stack of small products: one large product would depend on the count of rows.
+        noise = (self._factor @ self._white.draw(due)[..., None])[..., 0]
+        if channel.schedule is not None:
+            noise *= np.array([[factor(channel.schedule, float(t))] for t in time])
+        if channel.part is None or self._state is None:
+            return channel.space.plus(clean, noise), None
+        draws: imperfections.Draws = {}
+        for named, source in self._draws:
+            values, start = source.draw(due), 0
+            for name, width in named.items():
+                draws[name] = values[:, start : start + width]
+                start += width
+        y, arrives, state = imperfections.deliver(
+            channel.part, channel.space, clean, noise, self._state, draws,
+            time[:, None],  # pyright: ignore[reportArgumentType]
+        )  # fmt: skip
+        if keep:
+            self._state = state if due is None else select(due, state, self._state, "sensor")
+        return y, arrives
