@@ -15,7 +15,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from benchmarks.floor import recorded, replay
-from estbench import experiment, scenario, setup
+from estbench import executors, experiment, scenario, setup
 from estbench.models.rows import engine
 
 TACHOS = [
@@ -37,7 +37,7 @@ def prepare(estimator: str, runs: int, steps: int) -> setup.Setup:
 def ours(prepared: setup.Setup, threads: int) -> float:
     """Seconds for all runs on `threads` worker threads."""
     began = time.perf_counter()
-    experiment.run(prepared.scenario, keep="summary", threads=threads)
+    experiment.run(prepared.scenario, keep="summary", workers=threads)
     return time.perf_counter() - began
 
 
@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--repeat", type=int, default=5)
     args = parser.parse_args()
-    threads = experiment.cpu_count()
+    threads = executors.cpu_count()
     print(f"cartpole, {args.steps} steps of 0.01 s; {threads} threads; median of {args.repeat}")
     print(f"{'':8}{'estbench':>12}{'FilterPy':>12}{'ratio':>8}{'min':>7}{'max':>7}   over the floor")
     for kind, target in (("ekf", 6), ("ukf", 12)):

@@ -78,7 +78,7 @@ class RowNoise:
         self, rows: int, parts: Mapping[str, int], kind: Callable[..., Array] = random.normal
     ):
         self._kind = kind
-        self._parts = [(purpose(word), width) for word, width in parts.items()]
+        self._parts = [(purpose(word), width) for word, width in parts.items() if width]
         self._keys = np.zeros(rows, np.uint64)
         self._step = np.zeros(rows, np.int64)
         self._every = np.arange(rows)

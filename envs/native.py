@@ -12,6 +12,7 @@ from estbench.envs.actions import Actions
 from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import draw_key
+from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
 from estbench.scenario import Scenario
@@ -71,6 +72,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         self._renderer = GhostRenderer(prepared.plant.model, width, height, camera)
         self._ghost = ghost and estimator is not None
         self._running = False
+        self._release = hold(self)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -116,6 +118,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
     def close(self) -> None:
         """Free the renderer."""
         self._renderer.close()
+        self._release()
 
     def _seen(self) -> tuple[Array, dict[str, Any]]:
         x = self.world.truth.x

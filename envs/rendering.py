@@ -17,7 +17,9 @@ GHOST = np.array([0.15, 0.85, 0.35, 0.35], np.float32)
 ELLIPSOID = np.array([1.0, 0.55, 0.05, 0.45], np.float32)
 SIGMAS = 3.0
 """The ellipsoid's semi-axes, in standard deviations of the position."""
-THINNEST = 2e-3
+INFLATION = 1.02
+"""Of the ghost's bodies: two surfaces in one place would flicker."""
+THINNEST = 4e-3
 """Least semi-axis that is drawn, m: a planar robot's ellipsoid is flat."""
 
 
@@ -104,8 +106,10 @@ class GhostRenderer:
             int(mujoco.mjtCatBit.mjCAT_DYNAMIC), scene,
         )  # fmt: skip
         for i in range(first, scene.ngeom):
-            scene.geoms[i].rgba[:] = GHOST
-            scene.geoms[i].matid = -1
+            geom = scene.geoms[i]
+            geom.rgba[:], geom.matid = GHOST, -1
+            geom.size[:] *= INFLATION
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # no shadow
         for body in self._bodies:
             if scene.ngeom < scene.maxgeom:
                 center, axes, frame = ellipsoid(model, self._ghost, body, cov)
@@ -113,6 +117,7 @@ class GhostRenderer:
                     scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_ELLIPSOID,
                     axes, center, frame.ravel(), ELLIPSOID,
                 )  # fmt: skip
+                scene.geoms[scene.ngeom].category = mujoco.mjtCatBit.mjCAT_DECOR
                 scene.ngeom += 1
 
     def _make_renderer(self) -> mujoco.Renderer:

@@ -1,6 +1,5 @@
 """The native vector environment: all robots of a scenario in a few calls a step."""
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import Mask, RowKeys
 from estbench.envs.native import ScenarioEnv
+from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
-from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
+from estbench.envs.rows import MODES, add_final, cpus, reset_mask, row_seeds, vector_info
 from estbench.envs.world import World, prepare
 from estbench.scenario import Scenario
 
@@ -66,7 +66,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         if render_mode not in (None, "rgb_array"):
             raise EnvError(f"render_mode is '{render_mode}'; a vector has 'rgb_array' or None")
         prepared = prepare(scenario, estimator, sensors, overrides)
-        threads = nthread or len(os.sched_getaffinity(0))
+        threads = nthread or cpus()
         self.num_envs = num_envs
         self.world = World(prepared, num_envs, estimator is not None, threads)
         if max_episode_steps is not None:
@@ -89,6 +89,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         self._keys = RowKeys(num_envs)
         self._ended = np.zeros(num_envs, bool)
         self._started = False
+        self._release = hold(self)
 
     def reset(
         self,
@@ -164,6 +165,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""
         self._renderer.close()
+        self._release()
 
     def _restart(self, mask: Mask) -> None:
         self.world.reset(mask, self._keys.draw(np.flatnonzero(mask)))

@@ -15,6 +15,7 @@ from estbench.envs.actions import check
 from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import Mask, RowKeys
+from estbench.envs.quiet import hold
 from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.truth_info import KEYS
 from estbench.envs.twin import Twin
@@ -88,6 +89,7 @@ class VectorEstimatedObservation(VectorWrapper):
         self._ended = np.zeros(env.num_envs, bool)
         self._shown = np.zeros((env.num_envs, *(self.single_observation_space.shape or ())))
         self._time = np.zeros(env.num_envs)
+        self._release = hold(self)
 
     def reset(
         self,
@@ -138,6 +140,11 @@ class VectorEstimatedObservation(VectorWrapper):
         self._ended = over
         info = {**info, **self._info(states, every)}
         return self._shown.copy(), reward, terminated, truncated, info
+
+    def close(self, **kwargs: Any) -> None:
+        """Close the environments."""
+        self._release()
+        self.env.close(**kwargs)
 
     def _restart(self, mask: Mask, states: States) -> None:
         x, u, t = states

@@ -15,6 +15,7 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import RowKeys
 from estbench.envs.native import first
+from estbench.envs.quiet import hold
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
 
@@ -85,6 +86,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         if self._twin is None:
             self.observation_space, self._observe = features(observe, self._watch.observer)
         self._running = False
+        self._release = hold(self)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -133,6 +135,11 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             observation, reward, terminated, truncated,
             {**info, **first(self._watch.observer.info(x))},
         )  # fmt: skip
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._release()
+        super().close()
 
     def _state(self) -> Array:
         """The true state `(1, nx)`, a copy."""

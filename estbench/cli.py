@@ -1,4 +1,4 @@
-"""The command line: `estbench run | list | check`."""
+"""The command line: `estbench run | list | check | control`."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estbench import experiment, inspection, store
-from estbench.errors import EstbenchError
+from estbench.errors import EstbenchError, ExecutorError
 from estbench.report import commands
 
 app = typer.Typer(
@@ -59,7 +59,17 @@ def run(
         Literal["summary", "diagonal", "full"],
         typer.Option(help="what is stored of every run: averages; + traces; + covariances"),
     ] = "diagonal",
-    threads: Annotated[int | None, typer.Option(min=1, help="default: all CPUs")] = None,
+    resume: Annotated[bool, typer.Option(help="go on with --out: compute what is missing")] = False,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
+    ] = None,
+    executor: Annotated[
+        Literal["threads", "processes", "dask"], typer.Option(help="what computes the batches")
+    ] = "threads",
+    address: Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="threads or processes; default: all CPUs")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of tables")] = False,
 ) -> None:
     """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
@@ -67,8 +77,9 @@ def run(
     folder = out if out is not None else store.default_folder(resolved.name)
     with _progress(resolved.simulation.runs) as progress:
         results = experiment.run(
-            resolved, out=folder, keep=keep, threads=threads, progress=progress
-        )
+            resolved, out=folder, keep=keep, resume=resume, shard=_shard(shard),
+            executor=executor, address=address, workers=workers, progress=progress,
+        )  # fmt: skip
     if as_json:
         print(results.to_json())
     else:
@@ -96,7 +107,52 @@ def check(scenario: Scenario, overrides: Overrides = None) -> None:
     )
 
 
+@app.command(epilog="Example: estbench control cartpole --controller lqr --runs 100")
+def control(
+    scenario: Scenario,
+    controller: Annotated[
+        str | None, typer.Option(help="kind of controller; default the scenario's")
+    ] = None,
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option("--estimator", "-e", help="name, label or package.module:Name; repeatable"),
+    ] = None,
+    runs: Annotated[int, typer.Option(help="count of runs")] = 100,
+    seed: Annotated[int | None, typer.Option(help="seed of all random numbers")] = None,
+    duration: Annotated[float | None, typer.Option(help="length of a run, s")] = None,
+    overrides: Overrides = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of a table")] = False,
+) -> None:
+    """Run a controller on the truth, on each estimate and on raw readings: what the filter costs."""
+    from estbench.envs import control as loop  # gymnasium takes long to import
+    from estbench.envs import control_table
+
+    compared = loop.compare(
+        scenario,
+        estimator,
+        controller=controller,
+        runs=runs,
+        seed=seed,
+        duration=duration,
+        overrides=overrides or (),
+    )
+    if as_json:
+        print(json.dumps(compared.to_dict(), indent=2, allow_nan=False))
+    else:
+        _console().print(control_table.render(compared))
+
+
 commands.register(app)
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    """`i/n` as a pair of whole numbers."""
+    if text is None:
+        return None
+    parts = text.split("/")
+    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
+        raise ExecutorError(f"--shard is '{text}'; use I/N, e.g. 1/4")
+    return int(parts[0]), int(parts[1])
 
 
 def _console() -> Console:
@@ -135,7 +191,7 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # an ASCII terminal has no σ
     try:
-        code = app(standalone_mode=False)
+        code = app(prog_name="estbench", standalone_mode=False)
     except EstbenchError as error:
         _complain(str(error))
         sys.exit(2)

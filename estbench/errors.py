@@ -36,6 +36,10 @@ class StoreError(EstbenchError):
     """Results cannot be written or read."""
 
 
+class ExecutorError(EstbenchError):
+    """Workers cannot be had, or died."""
+
+
 class MissingExtraError(EstbenchError):
     """An optional dependency is not installed."""
 

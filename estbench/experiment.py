@@ -1,23 +1,27 @@
-"""Monte Carlo: many runs in batches on worker threads, interruptible, every finished run kept."""
+"""Monte Carlo: many runs in batches on workers, interruptible, every finished run kept."""
 
-import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import records, setup, statistics, store, streams
+from estbench import executors, records, setup, statistics, store, streams, worker
 from estbench import scenario as scenarios
-from estbench.errors import EstbenchError, EstimatorError, ScenarioError, did_you_mean
+from estbench.errors import (
+    EstbenchError,
+    EstimatorError,
+    ExecutorError,
+    ScenarioError,
+    StoreError,
+    did_you_mean,
+)
 from estbench.estimators import registry
 from estbench.filtering import Live, Recorded, Traces, run_filter
-from estbench.models.rows import engine
 from estbench.results import Results
 from estbench.truth import Trajectory, simulate
 
@@ -31,7 +35,7 @@ BATCH_BYTES = 64 * 2**20
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What one batch of runs gave."""
+    """What one batch of runs gave: the true states and a record an estimator."""
 
     truth: records.Record
     records: dict[str, records.Record]
@@ -47,7 +51,12 @@ def run(
     overrides: Sequence[str] = (),
     out: str | Path | None = None,
     keep: Literal["summary", "diagonal", "full"] = "diagonal",
-    threads: int | None = None,
+    dtype: Literal["float64", "float32"] = "float64",
+    resume: bool = False,
+    shard: tuple[int, int] | None = None,
+    executor: Literal["threads", "processes", "dask"] = "threads",
+    address: str | None = None,
+    workers: int | None = None,
     batch_size: int | None = None,
     progress: Progress | None = None,
 ) -> Results:
@@ -56,11 +65,18 @@ def run(
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
         estimators: labels or names to run in place of the scenario's.
-        runs, seed, duration: in place of the scenario's; duration in s.
+        runs: Monte Carlo runs, in place of the scenario's.
+        seed: in place of the scenario's.
+        duration: s, in place of the scenario's.
         overrides: `section.key=value` strings.
         out: folder to write the results to; None writes nothing.
         keep: what the store keeps of every run.
-        threads: worker threads; default the CPUs this process may use.
+        dtype: of the stored traces.
+        resume: go on with `out` if it exists: only what is missing is computed.
+        shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
+        executor: `threads`, `processes` (spawned; for many cores), or `dask`.
+        address: of the dask scheduler.
+        workers: threads or processes; default the CPUs this process may use.
         batch_size: runs a batch; default by memory. It does not change the results.
         progress: called after every batch.
 
@@ -70,32 +86,114 @@ def run(
     Raises:
         EstbenchError: anything wrong with the input, before anything is written.
     """
+    if shard is not None and not 1 <= shard[0] <= shard[1]:
+        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+    if out is None and (resume or shard is not None):
+        raise StoreError("resume and shard need a folder to go on with; name it with --out")
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
     prepared = setup.build(resolved)
+    using = executors.pool(executor, workers or executors.cpu_count(), address)
     size = batch_size or default_batch_size(prepared, keep)
-    count = resolved.simulation.runs
-    batches = [range(start, min(start + size, count)) for start in range(0, count, size)]
-    target = store.Store(Path(out), prepared, keep, batches) if out is not None else None
-    done: dict[int, Batch] = {}
-    interrupted = False
+    if out is None:
+        count = resolved.simulation.runs
+        batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
+        done, failed, interrupted = _compute(prepared, batches, keep, using, None, {}, progress)
+        return _collect(prepared, batches, done, failed, None, interrupted)
+    folder = Path(out)
+    target = _open(folder, prepared, keep, size, dtype, resume, shard)
+    with target.lock(shard):
+        done, corrupted = _finished(target)
+        indices = range(len(target.batches)) if shard is None else _share(target, shard)
+        wanted = {i: target.batches[i] for i in indices if i not in done}
+        done, failed, interrupted = _compute(
+            prepared, wanted, target.keep, using, target, done, progress
+        )
+        if not done:
+            target.discard()
+        else:
+            target.close()
+    return _collect(
+        prepared, target.batches, done, failed, target, interrupted,
+        [f"batch {i} of the store was corrupted and has been computed again" for i in corrupted],
+    )  # fmt: skip
+
+
+def _open(
+    folder: Path,
+    prepared: setup.Setup,
+    keep: str,
+    size: int,
+    dtype: str,
+    resume: bool,
+    shard: tuple[int, int] | None,
+) -> store.Store:
+    """A new store, or the one to go on with; of several shards the first comer makes it."""
+    if (resume or shard is not None) and folder.exists():
+        return store.Store.reopen(folder, prepared)
     try:
-        for index, result in _execute(prepared, batches, keep, threads or cpu_count()):
-            if target is not None:
-                runs_of = batches[index]
-                target.write(
-                    index, slice(runs_of[0], runs_of[-1] + 1), result.truth, result.records
-                )
-            done[index] = Batch({}, {k: _summary(r) for k, r in result.records.items()})
+        return store.Store.create(folder, prepared, keep, size, dtype)
+    except StoreError:
+        if shard is None or not folder.exists():
+            raise
+        return store.Store.reopen(folder, prepared)
+
+
+def _share(target: store.Store, shard: tuple[int, int]) -> range:
+    return range(shard[0] - 1, len(target.batches), shard[1])
+
+
+def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]], list[int]]:
+    """Summary records of the batches that are done, and the batches found corrupted."""
+    done, corrupted = {}, []
+    for index in range(len(target.batches)):
+        if target.finished(index):
+            found = target.read(index)
+            if found is None:
+                corrupted.append(index)
+            else:
+                done[index] = found
+    return done, corrupted
+
+
+def _compute(
+    prepared: setup.Setup,
+    batches: Mapping[int, range] | Sequence[range],
+    keep: str,
+    using: executors.Pool,
+    target: store.Store | None,
+    done: dict[int, dict[str, records.Record]],
+    progress: Progress | None,
+) -> tuple[dict[int, dict[str, records.Record]], dict[int, Exception], bool]:
+    """Compute batches: the summary records, what failed, and whether Ctrl-C came."""
+    chosen = dict(enumerate(batches)) if not isinstance(batches, Mapping) else dict(batches)
+    toml = prepared.scenario.to_toml()
+    folder = None if target is None else str(target.folder.resolve())
+    tasks = [worker.Task(toml, keep, folder, i, (r.start, r.stop)) for i, r in chosen.items()]
+    failed: dict[int, Exception] = {}
+    total, finished = sum(map(len, chosen.values())), 0
+    stopping = threading.Event()
+    work = partial(worker.work, stop=stopping.is_set) if using.local else worker.work
+    try:
+        for outcome in executors.execute(work, tasks, using, stopping.set):
+            if isinstance(outcome, executors.Failed):
+                if not done and not isinstance(outcome.error, ExecutorError):
+                    raise outcome.error  # nothing works: the input is at fault, not one batch
+                failed[outcome.task.index] = outcome.error
+                continue
+            task, result = outcome
+            if result is None:
+                continue
+            done[task.index] = result
+            finished += len(chosen[task.index])
             if progress is not None:
-                progress(sum(len(batches[i]) for i in done), count)
+                progress(finished, total)
     except KeyboardInterrupt:
-        interrupted = True
-    finally:
-        if target is not None:
-            target.close() if done else target.discard()
-    if not done:
-        raise EstbenchError("interrupted before the first batch was finished: there is no result")
-    return _collect(prepared, batches, done, target, interrupted)
+        return done, failed, True
+    except BaseException:
+        if target is not None and not done:
+            target.discard()
+        raise
+    return done, failed, False
 
 
 def resolve(
@@ -141,11 +239,6 @@ def default_batch_size(prepared: setup.Setup, keep: str) -> int:
     a_step = 2 * space.nx + 3 * space.n + 4 + (space.n**2 if keep == "full" else 0)
     a_run = 8 * a_step * len(prepared.times) * max(1, len(prepared.scenario.estimators))
     return int(np.clip(BATCH_BYTES // a_run, 1, min(250, max(10, -(-runs // 4)))))
-
-
-def cpu_count() -> int:
-    """CPUs this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_batch(
@@ -202,70 +295,46 @@ def traced(
             return
 
 
-def _execute(
-    prepared: setup.Setup, batches: Sequence[Sequence[int]], keep: str, threads: int
-) -> Iterator[tuple[int, Batch]]:
-    """Batches as they finish; at most two a thread are in memory at once."""
-    stopping = threading.Event()
-    with engine(), _pool(threads, stopping) as pool:
-        waiting: dict[Future[Batch | None], int] = {}
-        queue = iter(enumerate(batches))
-        while True:
-            for index, runs in queue:
-                waiting[pool.submit(run_batch, prepared, runs, keep, stopping.is_set)] = index
-                if len(waiting) >= 2 * threads:
-                    break
-            if not waiting:
-                return
-            finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                result = future.result()
-                if result is not None:
-                    yield waiting[future], result
-                del waiting[future]
-
-
-@contextmanager
-def _pool(threads: int, stopping: threading.Event) -> Iterator[ThreadPoolExecutor]:
-    """A thread pool whose workers are asked to stop when the block is left."""
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="estbench")
-    try:
-        yield pool
-    finally:
-        stopping.set()
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _summary(record: records.Record) -> records.Record:
-    return {name: record[name] for name in records.SUMMARY}
-
-
 def _collect(
     prepared: setup.Setup,
-    batches: Sequence[Sequence[int]],
-    done: dict[int, Batch],
+    batches: Sequence[range],
+    done: dict[int, dict[str, records.Record]],
+    failed: dict[int, Exception],
     target: store.Store | None,
     interrupted: bool,
+    notices: Sequence[str] = (),
 ) -> Results:
+    """The results of the batches that are done."""
+    if not done and failed:
+        raise next(iter(failed.values()))
+    if not done:
+        raise EstbenchError("interrupted before the first batch was finished: there is no result")
     order = sorted(done)
     runs = [run for i in order for run in batches[i]]
     merged = {
-        label: records.merge([done[i].records[label] for i in order])
+        label: records.merge([done[i][label] for i in order])
         for label in prepared.scenario.estimators
     }
-    summaries = tuple(
-        statistics.summarize(label, record, runs, prepared.times, prepared.scenario.consistency)
-        for label, record in merged.items()
-    )
+    section = prepared.scenario.consistency
     return Results(
         scenario=prepared.scenario,
         names=prepared.space.names,
         units=prepared.space.units,
         times=prepared.times,
         runs=tuple(runs),
-        summaries=summaries,
+        summaries=tuple(
+            statistics.summarize(label, record, runs, prepared.times, section)
+            for label, record in merged.items()
+        ),
         records=merged,
-        notices=prepared.notices,
+        notices=(
+            *prepared.notices,
+            *notices,
+            *(
+                f"runs {batches[i].start}-{batches[i].stop - 1} are missing: {error}"
+                for i, error in sorted(failed.items())
+            ),
+        ),
         folder=target.folder if target is not None else None,
         interrupted=interrupted,
     )

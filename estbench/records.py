@@ -40,7 +40,6 @@ SUMMARY = {
     "fault_step": Field(RUN, "i8", "instant of the failure, -1 = none"),
     "diverged": Field(RUN, "?", "failed, or NEES/n above the threshold for the duration"),
     "late": Field(RUN, "i8", "readings that came after the window and were not fused"),
-    "cpu_time": Field(RUN, "f8", "core time of predict and update, s"),
     "count": Field(STEP, "i8", "runs in the sums below: those that did not diverge"),
     "nees_sum": Field(STEP, "f8", "sum over runs of NEES"),
     "nis_sum": Field(STEP, "f8", "sum over runs of NIS"),
@@ -48,6 +47,8 @@ SUMMARY = {
     "square_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the squared error, (unit)²"),
     "variance_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the variance, (unit)²"),
 }
+COST = {"cpu_time": Field(RUN, "f8", "core time of predict and update, s")}
+"""Measured, so not a function of the scenario: kept beside the store, not in it."""
 DIAGONAL = {
     "estimate": Field((*EACH, "state"), "f8", "x̂"),
     "error": Field((*EACH, "coordinate"), "f8", "x ⊖ x̂ in the tangent at x̂"),
@@ -122,4 +123,4 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
 
 def merge(records: list[Record]) -> Record:
     """The summary of several batches: runs one after the other, one row of sums a batch."""
-    return {name: np.concatenate([r[name] for r in records]) for name in SUMMARY}
+    return {name: np.concatenate([r[name] for r in records]) for name in SUMMARY | COST}

@@ -292,6 +292,11 @@ def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     return _validate(data, overrides, str(source))
 
 
+def parse(toml: str) -> Scenario:
+    """The scenario of a resolved TOML text, as `Scenario.to_toml` writes it."""
+    return Scenario.model_validate(tomllib.loads(toml))
+
+
 def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     """The scenario with `section.key=value` strings applied.
 

@@ -1,16 +1,22 @@
 """Results on disk: one zarr store that one `xarray.open_datatree` call opens.
 
-The parent writes the template first; a batch of runs is one zarr chunk, so batches never write the
-same file; `done[run]` is set last. An unfinished store is readable: take the runs that are done.
+The template comes first; a batch of runs is one zarr chunk of every array, so that no two batches
+write the same file, and `done[run]` is set last. An unfinished store is readable (take the runs
+that are done) and can be gone on with. Every chunk carries a checksum.
 """
 
 import contextlib
+import errno
+import fcntl
 import json
 import platform
 import re
 import shutil
+import tomllib
+import uuid
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -19,13 +25,15 @@ from typing import Any
 import numpy as np
 import xarray as xr
 import zarr
+from zarr.codecs import Crc32cCodec
 
 from estbench.errors import StoreError
-from estbench.records import TRUTH, Field, Record, fields
+from estbench.records import COST, SUMMARY, TRUTH, Field, Record, fields
 from estbench.scenario import Scenario
 from estbench.setup import Setup
 
-STORE, SCENARIO = "data.zarr", "scenario.toml"
+STORE, SCENARIO, COSTS = "data.zarr", "scenario.toml", "costs"
+DONE = Field(("run",), "?", "the run is complete; ignore the others")
 
 
 def default_folder(name: str) -> Path:
@@ -35,143 +43,284 @@ def default_folder(name: str) -> Path:
 
 
 class Store:
-    """A results folder being written: `data.zarr` and the resolved `scenario.toml`.
+    """A results folder: `data.zarr`, the resolved `scenario.toml`, and what each batch cost.
 
-    Args:
-        folder: must not exist.
-        setup: what is run.
-        keep: `summary`, `diagonal` or `full`.
-        batches: runs of each batch.
+    Made by `create`, or by `reopen` to go on with one.
 
-    Raises:
-        StoreError: the folder exists or cannot be written.
+    Attributes:
+        folder: where it is.
+        batches: the runs of each batch.
     """
 
-    def __init__(self, folder: Path, setup: Setup, keep: str, batches: Sequence[Sequence[int]]):
+    def __init__(self, folder: Path, keep: str, batches: Sequence[range]):
         self.folder = folder
+        self.batches = list(batches)
         self._keep = keep
-        self._made = [path for path in folder.parents if not path.exists()]
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            raise StoreError(f"{folder} exists; choose another --out or remove it") from None
-        except OSError as error:
-            raise self._unwritable(error) from None
-        try:
-            (folder / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
-            self._root = zarr.open_group(str(folder / STORE), mode="w-", zarr_format=3)
-            self._template(setup, batches)
-        except OSError as error:
-            self.discard()
-            raise self._unwritable(error) from None
-        except BaseException:  # Ctrl-C, or anything else: an empty template is of no use
-            self.discard()
-            raise
+        self._made: list[Path] = []
+        self._root = zarr.open_group(str(folder / STORE), mode="r+", zarr_format=3)
 
-    def write(self, batch: int, runs: slice, truth: Record, records: dict[str, Record]) -> None:
-        """Write one batch and mark its runs done.
+    @classmethod
+    def create(
+        cls, folder: Path, setup: Setup, keep: str, batch_size: int, dtype: str = "float64"
+    ) -> "Store":
+        """Make the folder with an empty store, all or nothing.
+
+        Args:
+            folder: must not exist.
+            setup: what is run.
+            keep: `summary`, `diagonal` or `full`.
+            batch_size: runs of a batch, one chunk.
+            dtype: of the traces, `float64` or `float32`; averages are always float64.
 
         Raises:
-            StoreError: the disk is full or gone.
+            StoreError: the folder exists or cannot be written.
         """
+        if folder.exists():
+            raise StoreError(
+                f"{folder} exists; choose another --out, remove it, or go on with --resume"
+            )
+        count = setup.scenario.simulation.runs
+        batches = [range(i, min(i + batch_size, count)) for i in range(0, count, batch_size)]
+        made = [path for path in folder.parents if not path.exists()]
+        # Built beside its place and renamed: another process sees all of it or nothing.
+        draft = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}"
         try:
+            draft.mkdir(parents=True)
+            (draft / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
+            (draft / COSTS).mkdir()
+            root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
+            _template(root, setup, keep, batches, dtype)
+            draft.rename(folder)
+        except BaseException as error:
+            _remove(draft, made)
+            if isinstance(error, FileExistsError) or folder.exists():
+                raise StoreError(f"{folder} exists; choose another --out or --resume") from None
+            if isinstance(error, OSError):
+                raise _unwritable(folder, error) from None
+            raise
+        new = cls(folder, keep, batches)
+        new._made = made
+        return new
+
+    @classmethod
+    def reopen(cls, folder: Path, setup: Setup) -> "Store":
+        """Open a store to go on with it.
+
+        Raises:
+            StoreError: it is no store, or of another scenario: the key that differs is named.
+        """
+        if not (folder / STORE).is_dir() or not (folder / SCENARIO).is_file():
+            raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
+        before = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8"))
+        now = tomllib.loads(setup.scenario.to_toml())
+        for key in sorted(_differing(before, now)):
+            raise StoreError(
+                f"{folder} is of another scenario: {key} was {_value(before, key)!r} and is "
+                f"{_value(now, key)!r}; choose another --out"
+            )
+        try:
+            root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
+            attrs = root.attrs.asdict()
+            size, keep = int(attrs["batch_size"]), str(attrs["keep"])  # type: ignore[arg-type]
+        except (OSError, KeyError, ValueError, json.JSONDecodeError) as error:
+            raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
+        count = setup.scenario.simulation.runs
+        batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
+        return cls(folder, keep, batches)
+
+    @property
+    def keep(self) -> str:
+        """What the store keeps of every run."""
+        return self._keep
+
+    def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
+        """Write one batch, and set its runs done last.
+
+        Raises:
+            StoreError: the disk is full or the store is gone.
+        """
+        runs = slice(self.batches[batch].start, self.batches[batch].stop)
+        try:
+            if not (self.folder / STORE).is_dir():
+                raise FileNotFoundError(errno.ENOENT, "the store was deleted")
+            cost = {label: float(r["cpu_time"].sum()) for label, r in records.items()}
+            (self.folder / COSTS / f"{batch}.json").write_text(json.dumps(cost), encoding="utf-8")
             for group, record in {"truth": truth, **records}.items():
                 for name, value in record.items():
-                    array = self._root[f"{group}/{name}"]
-                    where = (
-                        slice(batch, batch + 1) if self._dims(group, name)[0] == "batch" else runs
-                    )
-                    array[where] = value  # type: ignore[index]
+                    if name not in COST:
+                        self._root[f"{group}/{name}"][self._where(group, name, batch)] = value  # type: ignore[index]
             self._root["done"][runs] = True  # type: ignore[index]
         except OSError as error:
-            raise self._unwritable(error) from None
+            raise _unwritable(self.folder, error) from None
+
+    def finished(self, batch: int) -> bool:
+        """Whether the batch's runs are all marked done (the mark itself may be corrupted)."""
+        runs = slice(self.batches[batch].start, self.batches[batch].stop)
+        try:
+            return bool(np.asarray(self._root["done"][runs]).all())  # type: ignore[index]
+        except (OSError, ValueError, KeyError, RuntimeError):
+            return False
+
+    def read(self, batch: int, check: bool = True) -> dict[str, Record] | None:
+        """The summary records of a finished batch, or None when a chunk of it is corrupted.
+
+        Args:
+            batch: its index.
+            check: read the traces too; their checksums are verified as they are read.
+        """
+        runs = self.batches[batch]
+        out: dict[str, Record] = {}
+        try:
+            groups = [g for g in self._root.group_keys() if g != "truth"]
+            for group in sorted(self._root.group_keys()) if check else groups:
+                table = TRUTH if group == "truth" else fields(self._keep)
+                values = {
+                    name: np.asarray(self._root[f"{group}/{name}"][self._where(group, name, batch)])  # type: ignore[index]
+                    for name in table
+                    if check or name in SUMMARY
+                }
+                if group != "truth":
+                    out[group] = {name: values[name] for name in SUMMARY}
+            cost = json.loads((self.folder / COSTS / f"{batch}.json").read_text(encoding="utf-8"))
+            for group in groups:
+                out[group]["cpu_time"] = np.full(len(runs), cost[group] / len(runs))
+        except (OSError, ValueError, KeyError, RuntimeError):
+            return None
+        return out
+
+    @contextmanager
+    def lock(self, shard: tuple[int, int] | None = None) -> Iterator[None]:
+        """Hold the store: one process alone, or one process a shard; freed when a process dies.
+
+        Raises:
+            StoreError: another process holds it.
+        """
+        with contextlib.ExitStack() as held:
+            names = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
+            if shard is not None:
+                names.append((f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX))
+            for name, mode in names:
+                file = held.enter_context((self.folder / name).open("w"))
+                try:
+                    fcntl.flock(file, mode | fcntl.LOCK_NB)
+                except OSError:
+                    raise StoreError(
+                        f"another process is writing to {self.folder}; wait for it, or use --shard"
+                    ) from None
+            yield
 
     def close(self) -> None:
-        """Consolidate the metadata, so that opening reads one file."""
-        with warnings.catch_warnings():  # zarr warns that consolidation is not yet in the standard
-            warnings.simplefilter("ignore", UserWarning)
-            zarr.consolidate_metadata(str(self.folder / STORE))
+        """Consolidate the metadata, so that opening reads one file.
+
+        Raises:
+            StoreError: the store is gone, or the disk full.
+        """
+        try:
+            with warnings.catch_warnings():  # zarr warns that it is not yet in the standard
+                warnings.simplefilter("ignore", UserWarning)
+                zarr.consolidate_metadata(str(self.folder / STORE))
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
 
     def discard(self) -> None:
         """Remove the folder, and the parents made for it: nothing in it was finished."""
-        with contextlib.suppress(OSError):
-            shutil.rmtree(self.folder)
-            for parent in self._made:
-                parent.rmdir()  # refused, and so kept, if something else lies in it
+        _remove(self.folder, self._made)
 
-    def _unwritable(self, error: OSError) -> StoreError:
-        return StoreError(
-            f"{self.folder} cannot be written: {error.strerror or error}; choose another --out"
-        )
+    def _where(self, group: str, name: str, batch: int) -> slice:
+        """The rows of an array that a batch fills."""
+        dims = (TRUTH if group == "truth" else fields(self._keep))[name].dims
+        runs = self.batches[batch]
+        return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
 
-    def _dims(self, group: str, name: str) -> tuple[str, ...]:
-        return (TRUTH if group == "truth" else fields(self._keep))[name].dims
 
-    def _template(self, setup: Setup, batches: Sequence[Sequence[int]]) -> None:
-        runs = [run for batch in batches for run in batch]
-        space = setup.space
-        sizes = {
-            "run": len(runs),
-            "time": len(setup.times),
-            "batch": len(batches),
-            "coordinate": space.n,
-            "coordinate_": space.n,
-            "state": space.nx,
-        }
-        chunk = {**sizes, "run": max(len(b) for b in batches), "batch": 1}
-        self._root.attrs.update(provenance(setup.scenario))
-        coordinates: dict[str, Any] = {
-            "run": np.array(runs),
-            "time": setup.times,
-        }
-        for name, value in coordinates.items():
-            self._root.create_array(name, data=value, dimension_names=(name,))
-        self._root["time"].attrs["units"] = "s"
-        self._labels("coordinate", ("coordinate",), space.names)
-        self._labels("coordinate_", ("coordinate_",), space.names)
-        self._labels("unit", ("coordinate",), space.units)
-        done = self._root.create_array(
-            "done", shape=(len(runs),), chunks=(chunk["run"],), dtype="?", dimension_names=("run",),
-            fill_value=False,
+def _remove(folder: Path, parents: Sequence[Path]) -> None:
+    with contextlib.suppress(OSError):
+        shutil.rmtree(folder)
+        for parent in parents:
+            parent.rmdir()  # refused, and so kept, if something else lies in it
+
+
+def _unwritable(folder: Path, error: OSError) -> StoreError:
+    return StoreError(
+        f"{folder} cannot be written: {error.strerror or error}; what is finished is kept there, "
+        "free the disk and --resume, or choose another --out"
+        if folder.exists()
+        else f"{folder} cannot be written: {error.strerror or error}; choose another --out"
+    )
+
+
+def _differing(a: Any, b: Any, path: str = "") -> set[str]:
+    """Dotted keys at which two nested tables differ."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        keys = {*a, *b}
+        return {p for k in keys for p in _differing(a.get(k), b.get(k), f"{path}.{k}".strip("."))}
+    return set() if a == b else {path}
+
+
+def _value(table: Any, path: str) -> Any:
+    for key in path.split("."):
+        table = table.get(key) if isinstance(table, dict) else None
+    return table
+
+
+def _template(
+    root: zarr.Group, setup: Setup, keep: str, batches: Sequence[range], dtype: str
+) -> None:
+    """Declare every array, with one chunk a batch and a checksum on every chunk."""
+    space = setup.space
+    sizes = {
+        "run": setup.scenario.simulation.runs,
+        "time": len(setup.times),
+        "batch": len(batches),
+        "coordinate": space.n,
+        "coordinate_": space.n,
+        "state": space.nx,
+    }
+    chunk = {**sizes, "run": len(batches[0]), "batch": 1}
+    root.attrs.update(
+        {**provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]), "dtype": dtype}
+    )
+    root.create_array("run", data=np.arange(sizes["run"]), dimension_names=("run",))
+    root.create_array("time", data=setup.times, dimension_names=("time",)).attrs["units"] = "s"
+    for name, dim, values in (
+        ("coordinate", "coordinate", space.names),
+        ("coordinate_", "coordinate_", space.names),
+        ("unit", "coordinate", space.units),
+    ):
+        # Strings of variable length: the only ones that zarr 3 has a specification for.
+        labels = root.create_array(
+            name, shape=(len(values),), dtype=str, dimension_names=(dim,)  # type: ignore[arg-type]
         )  # fmt: skip
-        done.attrs["meaning"] = "the run is complete; ignore the others"
+        labels[:] = np.array(values, dtype=object)
 
-        def declare(group: str, table: dict[str, Field]) -> None:
-            for name, field in table.items():
-                array = self._root.create_array(
-                    f"{group}/{name}",
-                    shape=tuple(sizes[d] for d in field.dims),
-                    chunks=tuple(chunk[d] for d in field.dims),
-                    dtype=field.dtype,
-                    dimension_names=field.dims,
-                    fill_value=np.nan if field.dtype.startswith("f") else 0,
-                    compressors=None,  # noise does not compress
-                )
-                array.attrs["meaning"] = field.meaning
+    def declare(group: str, table: dict[str, Field], kind: str | None = None) -> None:
+        for name, field in table.items():
+            array = root.create_array(
+                f"{group}/{name}".strip("/"),
+                shape=tuple(sizes[d] for d in field.dims),
+                chunks=tuple(chunk[d] for d in field.dims),
+                dtype=kind if kind and field.dtype == "f8" else field.dtype,
+                dimension_names=field.dims,
+                fill_value=np.nan if field.dtype.startswith("f") else 0,
+                compressors=Crc32cCodec(),  # noise does not compress; corruption must not pass
+            )
+            array.attrs["meaning"] = field.meaning
 
-        for label in setup.scenario.estimators:
-            declare(label, fields(self._keep))
-        if self._keep != "summary":
-            declare("truth", TRUTH)
-
-    def _labels(self, name: str, dims: tuple[str, ...], values: Sequence[str]) -> None:
-        """Strings of variable length: the only ones that zarr 3 has a specification for."""
-        array = self._root.create_array(
-            name,
-            shape=(len(values),),
-            dtype=str,
-            dimension_names=dims,  # type: ignore[arg-type]
-        )
-        array[:] = np.array(values, dtype=object)
+    declare("", {"done": DONE})
+    traces = {k: v for k, v in fields(keep).items() if k not in SUMMARY}
+    for label in setup.scenario.estimators:
+        declare(label, SUMMARY)
+        declare(label, traces, dtype)
+    if keep != "summary":
+        declare("truth", TRUTH, dtype)
 
 
 def provenance(scenario: Scenario) -> dict[str, Any]:
-    """Versions, seed and time of a run, as attributes."""
+    """Versions and seed as attributes: a function of the scenario and what is installed."""
     packages = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
     return {
         "scenario": scenario.name,
         "seed": scenario.simulation.seed,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {name: version(name) for name in packages}
         | {"python": platform.python_version()},
         "estimators": list(scenario.estimators),

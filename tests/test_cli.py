@@ -247,7 +247,10 @@ BAD = {
     "mjcf sensor": (("run", "dangling.xml"), "does not compile: .*unrecognized name 'hing'"),
     "mjcf actuator": (("run", "unmoved.xml"), "does not compile: .*unknown .*'nail'"),
     "mjcf state": (("run", "still.xml", "--set", "sensors=[]"), "sens|no joint|does not compile"),
-    "keyframe": (("run", "cartpole", "--set", "model.keyframe=uprihgt"), "no keyframe .* .did you mean .upright."),
+    "keyframe": (
+        ("run", "cartpole", "--set", "model.keyframe=uprihgt"),
+        "no keyframe 'uprihgt' .did you mean 'upright'",
+    ),
     "parameter": (
         ("run", "cartpole", "--set", 'truth.set."body_mass.poel"=1.0'),
         "no body 'poel' .did you mean 'pole'",

@@ -10,7 +10,7 @@ from estbench.estimators.ekf import EKF
 from tests.test_filtering import Plain
 
 # Wall-clock time is the one thing that may differ.
-COMPARED = sorted(set(records.SUMMARY) - {"cpu_time"})
+COMPARED = sorted(records.SUMMARY)
 FAST = {"duration": 0.3, "runs": 24, "batch_size": 6}
 
 
@@ -40,7 +40,7 @@ def assert_same(a, b, rtol=0.0, fields=COMPARED):
 )
 def test_a_seed_gives_the_same_bits_at_any_thread_count(scenario, overrides):
     one, two = (
-        run(scenario, ["ekf", "ukf"], threads=threads, overrides=overrides) for threads in (1, 2)
+        run(scenario, ["ekf", "ukf"], workers=threads, overrides=overrides) for threads in (1, 2)
     )
     assert_same(one.records, two.records)
     other = run(scenario, ["ekf", "ukf"], seed=1, overrides=overrides)
@@ -107,6 +107,27 @@ def test_a_saved_scenario_gives_identical_numbers(tmp_path):
                 .drop_vars("cpu_time", errors="ignore")
                 .identical(b[group].to_dataset().drop_vars("cpu_time", errors="ignore"))
             )
+
+
+SEEN = []
+
+
+class Keyed(EKF):
+    """Notes the random keys that it is given."""
+
+    def init(self, mean, cov, keys):
+        SEEN.append(keys.tolist())
+        return super().init(mean, cov)
+
+
+def test_random_keys_belong_to_the_run_and_the_label():
+    SEEN.clear()
+    for label, size in (("a", 4), ("b", 4), ("b", 2)):
+        one = f"estimators={{{label}={{type='{__name__}:Keyed'}}}}"
+        run(estimators=None, overrides=[one], runs=4, batch_size=size, workers=1)
+    a, b, first, second = SEEN
+    assert first + second == b
+    assert len({*a, *b}) == 8
 
 
 # Verdicts
@@ -189,7 +210,7 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path):
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    cut = run(out=tmp_path / "cut", progress=progress, threads=2)
+    cut = run(out=tmp_path / "cut", progress=progress, workers=2)
     assert calls == [(6, 24), (12, 24)]
     assert cut.interrupted
     assert len(cut.runs) == cut["ekf"].runs == 12
@@ -237,7 +258,7 @@ def test_a_failed_batch_leaves_no_folder(tmp_path):
 
 def test_progress_counts_to_the_end():
     calls = []
-    run(progress=lambda *c: calls.append(c), batch_size=10, threads=1)
+    run(progress=lambda *c: calls.append(c), batch_size=10, workers=1)
     assert calls == [(10, 24), (20, 24), (24, 24)]
 
 
@@ -315,5 +336,5 @@ def test_default_batches_do_not_depend_on_the_machine(monkeypatch):
     assert size(runs=8) == 10
     assert size("full", runs=10_000, duration=500.0) < size(runs=10_000, duration=500.0) < 250
     before = size(runs=500)
-    monkeypatch.setattr(experiment, "cpu_count", lambda: 64)
+    monkeypatch.setattr(experiment.executors, "cpu_count", lambda: 64)
     assert size(runs=500) == before

@@ -78,12 +78,13 @@ def test_the_prior_is_never_averaged():
 
 def test_sums_over_the_runs_that_did_not_diverge():
     t = fail(traces(), run=1, step=3)
+    t.nees[1:3, 4] = 99.0  # lost, though it did not fail
     record = reduce(t)
-    good = [0, 2, 3, 4, 5]
-    np.testing.assert_array_equal(record["count"], [[5] * 5])
+    good = [0, 2, 3, 5]
+    np.testing.assert_array_equal(record["count"], [[4] * 5])
     np.testing.assert_allclose(record["nees_sum"], [t.nees[:, good].sum(axis=1)])
     np.testing.assert_allclose(record["nis_sum"][0, 1:], np.nansum(t.nis[:, good], axis=1))
-    np.testing.assert_array_equal(record["dof_sum"], [[0, 5, 0, 10, 10]])
+    np.testing.assert_array_equal(record["dof_sum"], [[0, 4, 0, 8, 8]])
     np.testing.assert_allclose(record["square_sum"], [(t.error[:, good] ** 2).sum(axis=1)])
     np.testing.assert_allclose(record["variance_sum"], [(t.std[:, good] ** 2).sum(axis=1)])
 
@@ -108,7 +109,7 @@ def test_a_run_without_readings_has_no_nis():
 @pytest.mark.parametrize("keep", ["summary", "diagonal", "full"])
 def test_a_record_has_the_declared_fields_dimensions_and_types(keep):
     record = reduce(traces(), keep)
-    assert set(record) == set(records.fields(keep))
+    assert set(record) == set(records.fields(keep) | records.COST)
     sizes = {"run": 6, "time": 5, "batch": 1, "coordinate": 2, "coordinate_": 2, "state": 2}
     for name, field in records.fields(keep).items():
         assert record[name].shape == tuple(sizes[d] for d in field.dims), name

@@ -163,6 +163,22 @@ def test_spread_of_a_force_is_the_filters_q(kind, density):
     assert_covariance(sample, Q)
 
 
+def test_a_force_of_density_q_changes_the_velocity_by_q_dt_over_mass_squared():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
+        <joint name="slide" type="slide"/><geom size="0.1" mass="2"/></body></worldbody></mujoco>"""
+    )
+    disturbance = Disturbance.build(model, state_space(model), "force", 0.3)
+    dt, white = 0.02, np.random.default_rng(0).standard_normal((20_000, 1))
+    x, u, rows = np.zeros((len(white), 2)), np.zeros((len(white), 0)), Rows(model)
+    ends = rows.step(x, u, 0.0, 20, disturbance.sample(white, 0.0, dt))
+    Q = disturbance.covariance(rows, state_space(model), x[:1], u[:1], 0.0, dt, 20)[0]
+    # The force is held: Q = (q/m²) γ γᵀ/dt with γ = (about dt²/2, dt) by 20 semi-implicit steps.
+    gamma = np.array([0.001**2 * 20 * 21 / 2, dt])
+    np.testing.assert_allclose(Q, 0.3 / 4 / dt * np.outer(gamma, gamma))
+    assert_covariance(ends, Q)
+
+
 def test_disturbance_is_white_in_time():
     simulator = build("joints", "additive", 0.01, range(500))
     process = simulator._process

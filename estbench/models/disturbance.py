@@ -7,7 +7,8 @@ Over an interval dt the disturbance is N(0, ·) with covariance made from the sp
 - `actuator`: ~ N(0, Q_s/dt) added to the (clamped) controls, held over the interval.
 
 For the last two Q = Γ Γᵀ, where column j of Γ is the change of the end state under the j-th column
-of a factor of Q_s/dt: the model's own response to one standard deviation of the disturbance.
+of a factor of Q_s/dt: the model's own response to one standard deviation of the disturbance. In
+continuous time (`intensity`) the same is G Q_s Gᵀ, with G = ∂ẋ/∂w.
 """
 
 from collections.abc import Callable, Sequence
@@ -112,13 +113,31 @@ class Disturbance:
             return self.density * (self.at(t) * dt)
         if not self.rank:
             return np.zeros((space.n, space.n))
-        columns = np.concatenate(
-            [np.zeros((1, len(self.factor))), self.factor.T * np.sqrt(self.at(t) / dt)]
-        )
-        points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
-        if self.kind == "force":
-            ends = rows.step(points, u, t, nstep, force=columns)
-        else:
-            ends = rows.step(points, u[:, None] + columns, t, nstep)
+        points, push, force = self._pushed(x, u, np.sqrt(self.at(t) / dt))
+        ends = rows.step(points, push, t, nstep, force)
         response = space.minus(ends[:, 1:], ends[:, :1])
         return np.swapaxes(response, -1, -2) @ response
+
+    def intensity(self, rows: Rows, space: Manifold, x: Array, u: Array, t: float) -> Array:
+        """Q_s of the noise on ẋ, `(n, n)` or `(run, n, n)`, at x `(run, nx)`: G Q_s Gᵀ.
+
+        G is the slope of ẋ over one standard deviation of the disturbance held for a physics step;
+        ẋ is linear in it but for contacts and the gains of some actuators.
+        """
+        if self.kind == "additive":
+            return self.density * self.at(t)
+        if not self.rank:
+            return np.zeros((space.n, space.n))
+        held = 1.0 / rows.model.opt.timestep
+        points, push, force = self._pushed(x, u, np.sqrt(self.at(t) * held))
+        rates = rows.flow(points, push, t, force)
+        response = (rates[:, 1:] - rates[:, :1]) / np.sqrt(held)
+        return np.swapaxes(response, -1, -2) @ response
+
+    def _pushed(self, x: Array, u: Array, size: float) -> tuple[Array, Array, Array | None]:
+        """States, controls and forces of rows without and with each column of the factor."""
+        columns = np.concatenate([np.zeros((1, len(self.factor))), self.factor.T * size])
+        points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
+        if self.kind == "force":
+            return points, u, columns
+        return points, u[:, None] + columns, None

@@ -1,4 +1,4 @@
-"""A MuJoCo model as a state-space model: steps, sensors and Jacobians, batched over runs."""
+"""A MuJoCo model as a state-space model: steps, flow, sensors and Jacobians, batched over runs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class MujocoModel:
 
     A transition over dt is dt/timestep physics steps; only the forward stage that the channels in
     use need is computed for a measurement. Jacobians are differences of whole steps in the tangent
-    space, so every integrator, actuator and sensor type works.
+    space, so every integrator, actuator and sensor type works. It is a `ContinuousModel` too.
 
     Args:
         model: compiled by `mjcf.compile_model` (no warm start, no automatic reset, no clamping).
@@ -74,6 +74,7 @@ class MujocoModel:
         self.disturbance = disturbance
         self.differences = differences or Differences()
         self._space = layout.state_space(model)
+        self._rates = Manifold.euclidean(self._space.n)
         self._rows = Rows(model, nthread)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
         self._steps: dict[float, int] = {}
@@ -107,6 +108,20 @@ class MujocoModel:
         return self.disturbance.covariance(
             self._rows, self._space, x, self._clamp(u), t, dt, self.steps(dt)
         )
+
+    def flow(self, x: Array, u: Array, t: float) -> Array:
+        """ẋ = (q̇, q̈, ȧ) `(..., n)` of the forward dynamics, without what the integrator adds."""
+        return self._rows.flow(x, self._clamp(u), t)
+
+    def flow_jacobian(self, x: Array, u: Array, t: float) -> tuple[Array, Array]:
+        """ẋ and ∂ẋ(x ⊞ δ)/∂δ by differences."""
+        return self.differences.jacobian(
+            lambda points: self.flow(points, u, t), self._space, self._rates, x
+        )
+
+    def spectral_density(self, x: Array, u: Array, t: float) -> Array:
+        """Q_s of the disturbance as noise on ẋ."""
+        return self.disturbance.intensity(self._rows, self._space, x, self._clamp(u), t)
 
     def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
         """The readings at x under the control u, undisturbed."""

@@ -1,4 +1,4 @@
-"""Many states of one model as rows of `mujoco.batch.Batch`: step them, read their sensors.
+"""Many states of one model as rows of `mujoco.batch.Batch`: step them, read their sensors and flow.
 
 This is the only file that touches `mujoco.batch`. A row that cannot be computed (not finite, too
 large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent reset.
@@ -89,6 +89,24 @@ class Rows:
         if bad is not None:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], len(columns))
+
+    def flow(self, x: Array, u: Array, t: float, force: Array | None = None) -> Array:
+        """Rates (q̇, q̈, ȧ) `(..., 2 nv + na)` at x by the whole forward dynamics; see `step`.
+
+        q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
+        """
+        batch, rows, bad = self._load(x, u, t)
+        derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
+        if force is not None:
+            rows[..., self._force] = force
+        bad = self._run(batch, bad, 0, int(mujoco.mjtStage.mjSTAGE_ACC))
+        velocity = batch.state[:, self._x][:, self.model.nq : self.model.nq + self.model.nv]
+        out = np.concatenate([velocity, *derived], axis=-1)
+        if force is not None:
+            rows[..., self._force] = 0.0
+        if bad is not None:
+            out[bad] = np.nan
+        return out.reshape(*x.shape[:-1], out.shape[-1])
 
     def _load(self, x: Array, u: Array, t: float) -> tuple[Batch, Array, Array | None]:
         """Write states and controls; rows that are not finite are parked at rest and returned."""

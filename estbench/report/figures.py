@@ -80,8 +80,9 @@ def _error(material: Material, i: int) -> Drawing:
     for k, entry in enumerate(material.entries):
         for sigmas, alpha in ((3, 0.12), (1, 0.2)):
             low, high = area([], [], [], palette.faint(k, alpha), {"entry": entry.key})
-            low.meta |= {"bind": {"field": "std", "row": i, "scale": -sigmas}}
-            high.meta |= {"bind": {"field": "std", "row": i, "scale": sigmas}}
+            for side, scale in ((low, -sigmas), (high, sigmas)):
+                bind = {"field": "std", "row": i, "scale": scale}
+                side.update(meta={"entry": entry.key, "bind": bind})
             traces += [low, high]
         bind = {"field": "error", "row": i, "scale": 1}
         meta = {"entry": entry.key, "bind": bind, "role": "error"}

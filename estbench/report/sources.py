@@ -1,5 +1,6 @@
 """Stores as a report reads them: the finished runs of each, and one entry an estimator."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from estbench.errors import StoreError, did_you_mean
 from estbench.records import SUMMARY, Record
 from estbench.scenario import Scenario
 from estbench.statistics import Summary, summarize
-from estbench.store import SCENARIO, open_results
+from estbench.store import COSTS, SCENARIO, STORE, open_results
 
 Array = NDArray[np.float64]
 
@@ -174,15 +175,14 @@ def _titles(paths: Sequence[Path]) -> list[str]:
 
 
 def _source(folder: Path, title: str) -> Source:
-    if not (folder / SCENARIO).is_file():
-        open_results(folder)  # raises where it is no results folder at all
+    if (folder / STORE).is_dir() and not (folder / SCENARIO).is_file():
         raise StoreError(f"{folder} holds no {SCENARIO}; name a folder that `estbench run` wrote")
     tree = open_results(folder)
     try:
         done = read(tree, "done").astype(bool)
         attrs = {str(key): value for key, value in tree.attrs.items()}
         label = attrs["estimators"][0]
-        size = array(tree, f"{label}/anees").encoding["chunks"][0]
+        size = int(attrs["batch_size"])
         count = array(tree, f"{label}/count").sizes["batch"]
         units = tuple(str(u) for u in read(tree, "unit"))
         numbers = read(tree, "run")
@@ -210,9 +210,8 @@ def _source(folder: Path, title: str) -> Source:
 
 def _entry(source: Source, label: str, key: str) -> Entry:
     group = source.group(label)
-    starts = [s.start for s in source.batches]
-    size = group["anees"].encoding["chunks"][0]
-    batches = [start // size for start in starts]
+    size = int(source.attrs["batch_size"])
+    batches = [s.start // size for s in source.batches]
     whole = len(source.runs) == source.total
     keep = np.concatenate([np.arange(s.start, s.stop) for s in source.batches])
     record: Record = {}
@@ -222,7 +221,22 @@ def _entry(source: Source, label: str, key: str) -> Entry:
             if not whole:
                 value = value[batches if group[name].dims[0] == "batch" else keep]
             record[name] = value
+    record["cpu_time"] = np.concatenate(
+        [
+            np.full(s.stop - s.start, _cost(source, label, s, b))
+            for s, b in zip(source.batches, batches)
+        ]
+    )
     summary = summarize(
         label, record, source.runs.tolist(), source.times, source.scenario.consistency
     )
     return Entry(key, label, source, record, summary)
+
+
+def _cost(source: Source, label: str, runs: slice, batch: int) -> float:
+    """Core time of each run of a batch, s; NaN where it was not kept."""
+    try:
+        text = (source.folder / COSTS / f"{batch}.json").read_text(encoding="utf-8")
+        return float(json.loads(text)[label]) / (runs.stop - runs.start)
+    except (OSError, ValueError, KeyError):
+        return np.nan

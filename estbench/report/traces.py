@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -117,15 +118,15 @@ def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
     source, n = entry.source, entry.source.n
     group = entry.group.isel(run=where)
     good = entry.good[rows]
-    nees = group["nees"].values
+    nees = _double(group, "nees")
     left = _left(entry, nees[~good], source.runs[rows][~good])
     nees = nees[good]
-    error, std = group["error"].values[good], group["std"].values[good]
+    error, std = _double(group, "error")[good], _double(group, "std")[good]
     settled = source.settled
     ratio = error[:, settled] / std[:, settled]
     coverage = np.stack([(np.abs(ratio) <= k).mean(axis=1) for k in SIGMAS], axis=1)
     errors = np.stack([np.histogram(ratio[..., i], ERROR_EDGES)[0] for i in range(n)])
-    nis, dof = group["nis"].values[good], group["dof"].values[good]
+    nis, dof = _double(group, "nis")[good], group["dof"].values[good]
     out = np.concatenate(
         [
             _outside(nees[:, settled], np.full(1, n), source.level),
@@ -137,6 +138,11 @@ def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
         coverage, errors, ratio[..., 0].size, np.histogram(nees[:, settled], edges)[0],
         out, products, pairs, (error**4).sum(axis=0), left,
     )  # fmt: skip
+
+
+def _double(group: xr.Dataset, name: str) -> Array:
+    """A trace in double precision; a store may keep less."""
+    return group[name].values.astype(np.float64)
 
 
 def _outside(values: Array, dof: NDArray, level: float) -> Array:

@@ -1,0 +1,98 @@
+"""No filter: a state read straight off the sensors, for a controller to be compared with."""
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.base import Innovation
+from estbench.models.base import Channels
+from estbench.models.mujoco import MujocoModel
+
+Array = NDArray[np.float64]
+ACCELERATION = int(mujoco.mjtStage.mjSTAGE_ACC)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """The last state read, and how long ago each position was `(row, nv)`, s."""
+
+    mean: Array
+    cov: Array
+    since: Array
+
+
+@dataclass(frozen=True)
+class RawReadings:
+    """A state with no memory but the last reading, in the clothes of an estimator.
+
+    A coordinate that sensors measure is taken from them (weighted least squares, H δ = y ⊖ h(x̂),
+    about the last state); a velocity that no sensor measures is the change of its position over
+    the time between readings; a coordinate that none measures stays where it started. Sensors of
+    accelerations and forces are not used, as these are no states. There is no smoothing.
+
+    Attributes:
+        model: a MuJoCo model with its sensors.
+    """
+
+    model: MujocoModel
+
+    def init(self, mean: Array, cov: Array) -> Held:
+        """Start from mean `(row, nx)`; cov `(row, n, n)` is kept and means nothing."""
+        return Held(mean, cov, np.zeros((len(mean), self.model.mjmodel.nv)))
+
+    def predict(self, belief: Held, u: Array, t: float, dt: float) -> Held:
+        """Time passes; the state is held."""
+        return replace(belief, since=belief.since + dt)
+
+    def update(
+        self,
+        belief: Held,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Held, Innovation]:
+        """Take the state from the readings y `(row, ny)` that arrived (`mask` `(row, m)`)."""
+        model, nv = self.model, self.model.mjmodel.nv
+        known = {c.name: c for c in model.channels}
+        names = list(known) if channels is None else list(channels)
+        useful = np.concatenate(
+            [
+                np.full(
+                    model.output([name]).n,
+                    int(model.mjmodel.sensor_needstage[known[name].index]) < ACCELERATION,
+                )
+                for name in names
+            ]
+        )
+        predicted, H = model.measurement_jacobian(belief.mean, u, t, channels)
+        residual = model.output(channels).minus(y, predicted)
+        R = model.measurement_noise(t, channels)
+        used = useful if mask is None else useful & mask
+        weight = used / np.sqrt(np.diagonal(R, axis1=-2, axis2=-1))
+        Hw = np.nan_to_num(H * weight[..., None])
+        delta = np.linalg.pinv(Hw, rcond=1e-6) @ np.nan_to_num(residual * weight)[..., None]
+        delta = delta[..., 0]
+        seen = np.abs(Hw).max(axis=1) > 1e-6 * np.abs(Hw).max(axis=(1, 2))[:, None]
+        position, velocity = slice(0, nv), slice(nv, 2 * nv)
+        mean = model.space.plus(belief.mean, delta)
+        rate = delta[:, position] / np.maximum(belief.since, 1e-12)
+        differenced = seen[:, position] & ~seen[:, velocity] & (belief.since > 0)
+        start = model.mjmodel.nq
+        mean[:, start : start + nv] = np.where(differenced, rate, mean[:, start : start + nv])
+        since = np.where(seen[:, position], 0.0, belief.since)
+        count = np.broadcast_to(used, residual.shape).sum(axis=-1)
+        zero = np.zeros(len(y))
+        innovation = Innovation(np.where(used, residual, 0.0), R, 0.0 * residual, zero, count)
+        return replace(belief, mean=mean, since=since), innovation
+
+    def mean(self, belief: Held) -> Array:
+        """The state `(row, nx)`."""
+        return belief.mean
+
+    def cov(self, belief: Held) -> Array:
+        """The initial covariance `(row, n, n)`: nothing is known of the error."""
+        return belief.cov

@@ -1,0 +1,117 @@
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from estbench.cli import app
+from estbench.consistency import mean_interval
+from estbench.envs.control import compare
+from estbench.envs.errors import EnvError
+from estbench.envs.raw import RawReadings
+from estbench.envs.world import World, prepare
+from estbench.errors import EstbenchError, EstimatorError, ScenarioError
+
+EVERY = np.ones(1, bool)
+
+
+def test_common_random_numbers_and_paired_differences():
+    a = compare("cartpole", ["ekf"], controller="lqr", runs=12, duration=0.5)
+    b = compare("cartpole", ["ekf", "ukf"], controller="lqr", runs=5, duration=0.5)
+    assert [s.label for s in b.sources] == ["truth", "ekf", "ukf", "raw"]
+    for label in ("truth", "ekf", "raw"):  # a run does not depend on its company
+        np.testing.assert_allclose(a[label].cost[:5], b[label].cost, rtol=1e-9)
+    expected = mean_interval(a["ekf"].cost - a["truth"].cost)
+    assert a.difference("ekf", "truth") == expected
+    assert a.cost("truth").value < a.cost("ekf").value < a.cost("raw").value
+    loose = a.cost("ekf").high - a.cost("ekf").low
+    assert expected.high - expected.low < loose
+    again = compare("cartpole", ["ekf"], controller="lqr", runs=12, duration=0.5, seed=3)
+    np.testing.assert_allclose(again["ekf"].cost[:2], a["ekf"].cost[3:5], rtol=1e-9)
+
+
+def test_failures_are_counted_with_their_time_and_left_out():
+    c = compare("cartpole_imu", ["ekf"], controller="lqr", runs=6, duration=3.0)
+    raw = c["raw"]  # no sensor reads the pole, and nothing stands up by itself
+    assert raw.failed.all()
+    assert (raw.failed_at > 0.3).all()
+    assert not c["ekf"].failed.any()
+    assert np.isnan(c.difference("ekf", "raw").value)
+    data = json.loads(json.dumps(c.to_dict(), allow_nan=False))
+    assert data["sources"]["raw"]["failures"] == 6
+    assert data["sources"]["raw"]["cost"]["value"] is None
+
+
+def test_with_an_exact_filter_the_estimate_costs_what_the_truth_costs():
+    exact = ["initial.std=1e-9", "process_noise.density=0"]
+    c = compare("cartpole", ["ekf"], controller="lqr", runs=3, duration=0.3, overrides=exact)
+    np.testing.assert_allclose(c["ekf"].cost, c["truth"].cost, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["cartpole", "quadrotor"])
+def test_raw_readings(name):
+    fast = {"quadrotor": ["channels.position.rate=200", "channels.attitude.rate=200"]}.get(name, [])
+    world = World(prepare(name, {"type": "estbench.envs.raw:RawReadings"}, None, fast), 1)
+    world.reset(EVERY, np.array([5], np.uint64))
+    bank, readings, u0 = world.observer.bank, world.observer.readings, world.setup.plant.u0[None]
+    dt = world.setup.plant.period
+    nq, nv = world.setup.plant.model.nq, world.setup.plant.model.nv
+    before = bank.estimate[0].copy()
+    for k in range(4):
+        world.step(u0)
+        x, y = bank.estimate[0], readings.last[0]
+        if name == "cartpole":
+            np.testing.assert_allclose(x[:nq], y, atol=1e-9)
+            if k:
+                np.testing.assert_allclose(x[nq:], (x[:nq] - before[:nq]) / dt, atol=1e-6)
+        else:  # accel, gyro, position, attitude
+            np.testing.assert_allclose(x[:3], y[6:9], atol=1e-6)
+            np.testing.assert_allclose(np.abs(x[3:7] @ y[9:]), 1, atol=1e-5)
+            np.testing.assert_allclose(x[nq + 3 :], y[3:6], atol=1e-5)
+            if k:
+                np.testing.assert_allclose(x[nq : nq + 3], (x[:3] - before[:3]) / dt, atol=1e-3)
+        assert nv == len(world.setup.space.names) // 2
+        before = x.copy()
+
+
+def test_raw_readings_of_slow_sensors_difference_over_their_period():
+    rates = ["channels.cart_encoder.rate=25", "channels.pole_encoder.rate=50"]
+    world = World(prepare("cartpole", {"type": "estbench.envs.raw:RawReadings"}, None, rates), 1)
+    world.reset(EVERY, np.array([5], np.uint64))
+    bank, seen = world.observer.bank, []
+    for _ in range(8):
+        world.step(np.zeros((1, 1)))
+        seen.append(bank.estimate[0].copy())
+    cart = np.array(seen)[:, 0]
+    assert len(set(cart[:3])) == 1
+    assert len(set(cart[3:7])) == 1
+    np.testing.assert_allclose(seen[7][2], (cart[7] - cart[3]) / 0.04, atol=1e-9)
+    assert isinstance(bank.estimator, RawReadings)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"controller": "lqrr"}, EnvError, "no controller 'lqrr' .did you mean 'lqr'"),
+        ({"runs": 0}, EnvError, "runs is 0"),
+        ({"estimators": ["efk"]}, EstimatorError, "no estimator 'efk'"),
+        ({"duration": -1}, ScenarioError, "task.horizon"),
+        ({"overrides": ["estimators.raw={type='ekf'}"]}, EnvError, "label 'raw' is taken"),
+    ],
+)
+def test_bad_arguments(kwargs, error, message):
+    with pytest.raises(error, match=message):
+        compare("cartpole", **{"runs": 2, **kwargs})
+    assert issubclass(EnvError, EstbenchError)
+
+
+def test_command_line():
+    arguments = ["control", "cartpole", "--controller", "lqr", "--runs", "3", "--duration", "0.2"]
+    text = CliRunner().invoke(app, arguments).output
+    assert "cartpole: lqr on truth, estimates and raw readings, 3 runs x 0.2 s, seed 0" in text
+    assert "minus truth" in text
+    assert text.count("0/3") == 4
+    assert max(len(line) for line in text.splitlines()) <= 100
+    data = json.loads(CliRunner().invoke(app, [*arguments, "-e", "ekf", "--json"]).output)
+    assert set(data["sources"]) == {"truth", "ekf", "raw"}
+    assert data["runs"] == 3
