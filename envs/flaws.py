@@ -1,21 +1,84 @@
-"""One channel's noise and imperfections on many robots, each at its own time since its reset."""
+"""Noise and imperfections of channels on many robots, each at its own time since its reset."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from estbench import imperfections, random
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
 from estbench.envs.merge import select
+from estbench.manifold import Manifold
 from estbench.schedules import factor
 from estbench.sensors import Channel
 
 Array = NDArray[np.float64]
 
 
-class Flaws:
-    """What a channel does to its true reading; see `estbench.imperfections`.
+class Source(Protocol):
+    """What one or several channels do to their true readings `(row, ny)`."""
+
+    def start(self, mask: Mask, keys: Keys, clean: Array) -> None:
+        """Switch the sensors on in the rows of a mask, with random keys `(mask.sum(),)`."""
+        ...
+
+    def read(
+        self, clean: Array, time: Array, due: Mask | None, keep: bool = True
+    ) -> tuple[Array, Mask | None]:
+        """A reading of all rows.
+
+        Args:
+            clean: noise-free readings `(row, ny)`.
+            time: since each row's reset `(row,)`, s.
+            due: rows that take it; None is all.
+            keep: whether it changes the sensors' memory.
+
+        Returns:
+            Readings `(row, ny)` and where they arrive `(row,)` (None: in all rows that take it).
+        """
+        ...
+
+
+class White:
+    """Channels with constant white noise only, which deliver together.
+
+    Args:
+        channels: the sensors.
+        space: the manifold of their readings, one after the other.
+        rows: how many robots.
+        quiet: names of channels that have no noise, whatever R is believed.
+    """
+
+    def __init__(
+        self, channels: Sequence[Channel], space: Manifold, rows: int, quiet: frozenset[str]
+    ):
+        self._space = space
+        self._noise = RowNoise(rows, {f"sensor:{c.name}": c.space.n for c in channels})
+        factors = [np.linalg.cholesky(c.cov) * (c.name not in quiet) for c in channels]
+        self._factor = np.asarray(block_diag(*factors), np.float64)
+        diagonal = np.diagonal(self._factor)
+        self._std = diagonal.copy() if (self._factor == np.diag(diagonal)).all() else None
+
+    def start(self, mask: Mask, keys: Keys, clean: Array) -> None:
+        """As `Source.start`."""
+        self._noise.start(mask, keys)
+
+    def read(
+        self, clean: Array, time: Array, due: Mask | None, keep: bool = True
+    ) -> tuple[Array, Mask | None]:
+        """As `Source.read`."""
+        white = self._noise.draw(due)
+        if self._std is not None:
+            return self._space.plus(clean, self._std * white), None
+        # A stack of small products: one large product would depend on the count of rows.
+        return self._space.plus(clean, (self._factor @ white[..., None])[..., 0]), None
+
+
+class Flawed:
+    """One channel with imperfections or a schedule of its noise; see `estbench.imperfections`.
 
     Args:
         channel: the sensor.
@@ -25,26 +88,20 @@ class Flaws:
 
     def __init__(self, channel: Channel, rows: int, quiet: bool = False):
         self.channel, self._rows = channel, rows
-        self._factor = np.zeros_like(channel.cov) if quiet else np.linalg.cholesky(channel.cov)
+        self._factor = np.linalg.cholesky(channel.cov) * (not quiet)
         word, part = f"sensor:{channel.name}", channel.part
         self._white = RowNoise(rows, {word: channel.space.n})
-        self._normals: dict[str, int] = {} if part is None else part.normals(channel.space.n)
-        self._uniforms: dict[str, int] = {} if part is None else part.uniforms()
+        normals: dict[str, int] = {} if part is None else part.normals(channel.space.n)
+        uniforms: dict[str, int] = {} if part is None else part.uniforms()
         self._draws = [
             (named, RowNoise(rows, {f"{word}:{k}": w for k, w in named.items()}, kind))
-            for named, kind in ((self._normals, random.normal), (self._uniforms, random.uniform))
+            for named, kind in ((normals, random.normal), (uniforms, random.uniform))
             if named
         ]
         self._state: imperfections.State | None = None
 
     def start(self, mask: Mask, keys: Keys, clean: Array) -> None:
-        """Switch the sensor on in the rows of a mask: its constants are drawn.
-
-        Args:
-            mask: `(row,)`.
-            keys: random keys of these rows `(mask.sum(),)`.
-            clean: noise-free readings of all rows `(row, ny)`.
-        """
+        """As `Source.start`; constants such as a bias are drawn."""
         self._white.start(mask, keys)
         for _, noise in self._draws:
             noise.start(mask, keys)
@@ -64,19 +121,8 @@ class Flaws:
     def read(
         self, clean: Array, time: Array, due: Mask | None, keep: bool = True
     ) -> tuple[Array, Mask | None]:
-        """A reading of all rows.
-
-        Args:
-            clean: noise-free readings `(row, ny)`.
-            time: since each row's reset `(row,)`, s.
-            due: rows that take it; None is all.
-            keep: whether it changes the sensor's memory.
-
-        Returns:
-            Readings `(row, ny)` and where they arrive `(row,)` (None: in all rows that take it).
-        """
+        """As `Source.read`."""
         channel = self.channel
-        # A stack of small products: one large product would depend on the count of rows.
         noise = (self._factor @ self._white.draw(due)[..., None])[..., 0]
         if channel.schedule is not None:
             noise *= np.array([[factor(channel.schedule, float(t))] for t in time])

@@ -81,17 +81,25 @@ class RowNoise:
         self._parts = [(purpose(word), width) for word, width in parts.items() if width]
         self._keys = np.zeros(rows, np.uint64)
         self._step = np.zeros(rows, np.int64)
+        self._together: int | None = None
         self._every = np.arange(rows)
         self._block = np.zeros((rows, self.BLOCK, sum(parts.values())))
 
     def start(self, mask: Mask, keys: Keys) -> None:
         """Begin an episode in the rows of a mask, with keys `(mask.sum(),)`."""
+        if self._together is not None:
+            self._step[:] = self._together
         self._keys[mask] = keys
         self._step[mask] = 0
+        self._together = 0 if mask.all() else None
         self._fill(mask)
 
     def draw(self, mask: Mask | None = None) -> Array:
         """The next numbers `(row, width)`; only the rows of the mask move on."""
+        if mask is None and self._together is not None:
+            return self._draw_together(self._together)
+        if self._together is not None:
+            self._step[:], self._together = self._together, None
         place = self._step % self.BLOCK
         out = self._block[self._every, place]
         self._step += 1 if mask is None else mask
@@ -100,6 +108,15 @@ class RowNoise:
             spent &= mask
         if spent.any():
             self._fill(spent)
+        return out
+
+    def _draw_together(self, step: int) -> Array:
+        """As `draw` while all rows are at the same step: the usual case costs next to nothing."""
+        out = self._block[:, step % self.BLOCK].copy()
+        self._together = step + 1
+        if self._together % self.BLOCK == 0:
+            self._step[:] = self._together
+            self._fill(np.ones(len(self._step), bool))
         return out
 
     def _fill(self, mask: Mask) -> None:

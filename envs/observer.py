@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from estbench.envs.filter import FilterBank
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.readings import Readings
-from estbench.models import mjcf
 
 Array = NDArray[np.float64]
 
@@ -29,11 +28,10 @@ class Observer:
     def __init__(self, model: mujoco.MjModel, readings: Readings, bank: FilterBank | None):
         self.model, self.readings, self.bank = model, readings, bank
         self._timestep = float(model.opt.timestep)
-
-    @property
-    def t(self) -> float:
-        """Time since the reset of the row that has run longest, s."""
-        return int(self.readings.tick.max()) * self._timestep
+        limited = model.actuator_ctrllimited.astype(bool)
+        self._low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
+        self._high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+        self.t = 0.0
 
     def reset(
         self, mask: Mask, keys: Keys, x: Array, u: Array, mean: Array, cov: Array
@@ -47,7 +45,8 @@ class Observer:
             u: controls `(row, nu)`.
             mean, cov: the prior of all rows `(row, nx)`, `(row, n, n)`.
         """
-        self.readings.start(mask, keys, x, mjcf.clamp(self.model, u))
+        self.readings.start(mask, keys, x, self._clamp(u))
+        self.t = self.readings.latest * self._timestep
         if self.bank is not None:
             every = np.zeros(len(mask), np.uint64)
             every[mask] = keys
@@ -67,11 +66,11 @@ class Observer:
             u: `(row, nu)`.
             mask: rows for which time passes; None is all.
         """
-        began = self.t
-        u = mjcf.clamp(self.model, u)
+        u = self._clamp(u)
         if self.bank is not None:
-            self.bank.predict(u, began, steps * self._timestep, mask)
-        reading = self.readings.take(steps, x, u, began + steps * self._timestep, mask)
+            self.bank.predict(u, self.t, steps * self._timestep, mask)
+        reading = self.readings.take(steps, x, u, mask)
+        self.t = self.readings.latest * self._timestep
         if self.bank is not None and reading is not None:
             self.bank.update(reading.y, u, self.t, reading.channels, reading.arrived)
 
@@ -83,3 +82,7 @@ class Observer:
     def info(self, x: Array) -> dict[str, Any]:
         """What `info` says of every row: see `FilterBank.info`; without a filter, the truth."""
         return {"truth": x.copy()} if self.bank is None else self.bank.info(x)
+
+    def _clamp(self, u: Array) -> Array:
+        """As `models.mjcf.clamp`, the limits taken once."""
+        return np.minimum(np.maximum(u, self._low), self._high)

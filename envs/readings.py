@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.envs.errors import EnvError
-from estbench.envs.flaws import Flaws
+from estbench.envs.flaws import Flawed, Source, White
 from estbench.envs.keys import Keys, Mask
 from estbench.models import layout
 from estbench.models.mujoco import needed_stage
@@ -34,6 +34,30 @@ class Reading:
     arrived: Mask | None
 
 
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Channels that are read together.
+
+    Attributes:
+        channels: their numbers, in order.
+        names: their names.
+        period, phase: in physics steps; the first reading is at `phase`, or at `period`.
+        source: their noise and imperfections.
+        columns: of sensordata.
+        point: their columns in the point of all readings.
+        width: count of components.
+    """
+
+    channels: tuple[int, ...]
+    names: tuple[str, ...]
+    period: int
+    phase: int
+    source: Source
+    columns: NDArray[np.intp]
+    point: NDArray[np.intp]
+    width: int
+
+
 class Readings:
     """Readings of `rows` robots by sensors as they are.
 
@@ -45,10 +69,12 @@ class Readings:
         quiet: names of channels without white noise, whatever R is believed.
 
     Attributes:
+        channels: sensors in use.
         space: the manifold of all channels' readings, one after the other.
         slots: channel -> its place in the tangent of `space`.
         last: the last reading of every channel `(row, ny)`.
         tick: physics steps since the reset `(row,)`.
+        latest: the largest of them.
 
     Raises:
         EnvError: a channel has latency or jitter.
@@ -75,16 +101,12 @@ class Readings:
         for c in channels:
             self.slots[c.name] = slice(start, start + c.space.n)
             start += c.space.n
-        starts = np.cumsum([0] + [c.space.nx for c in channels])
-        self._points = [slice(int(a), int(b)) for a, b in zip(starts, starts[1:])]
-        self._flaws = [Flaws(c, rows, c.name in quiet) for c in channels]
-        # Rhythms: (period, first reading) of channels that deliver together.
-        self._rhythms = sorted({(c.timing.period, c.timing.phase) for c in channels})
-        self._of = [self._rhythms.index((c.timing.period, c.timing.phase)) for c in channels]
         self._model, self._rows = model, Rows(model, nthread)
         self._timestep = float(model.opt.timestep)
+        self._groups = self._grouped(rows, frozenset(quiet))
         self._plans: dict[tuple[int, ...], tuple[NDArray[np.intp], int]] = {}
         self.tick = np.zeros(rows, np.int64)
+        self.latest, self._together = 0, False
         self.last = np.zeros((rows, self.space.nx))
 
     def start(self, mask: Mask, keys: Keys, x: Array, u: Array) -> None:
@@ -100,76 +122,132 @@ class Readings:
             u: controls `(row, nu)`.
         """
         self.tick[mask] = 0
-        every, time = tuple(range(len(self.channels))), self.tick * self._timestep
-        clean = self._clean(every, x, u, 0.0)
-        for flaws, part in zip(self._flaws, self._points):
-            flaws.start(mask, keys, clean[:, part])
-            y, _ = flaws.read(clean[:, part], time, mask, keep=False)
-            self.last[mask, part] = y[mask]
+        self.latest, self._together = int(self.tick.max()), bool(mask.all())
+        time = self.tick * self._timestep
+        for group, clean in self._clean(tuple(range(len(self._groups))), x, u, 0.0):
+            group.source.start(mask, keys, clean)
+            y, _ = group.source.read(clean, time, mask, keep=False)
+            self.last[np.ix_(mask, group.point)] = y[mask]
 
     def stride(self, steps: int) -> int:
         """The most physics steps that divide `steps` and miss no reading, whatever the phase.
 
         It does not depend on where the rows are, so a row is the same in any company.
         """
-        return gcd(steps, *(n for rhythm in self._rhythms for n in rhythm if n))
+        return gcd(steps, *(n for g in self._groups for n in (g.period, g.phase) if n))
 
-    def take(
-        self, steps: int, x: Array, u: Array, t: float, mask: Mask | None = None
-    ) -> Reading | None:
+    def take(self, steps: int, x: Array, u: Array, mask: Mask | None = None) -> Reading | None:
         """Let physics steps pass, up to the states x, and read what is due there.
 
         Args:
             steps: physics steps since the last call.
             x: true states `(row, nx)`.
             u: controls `(row, nu)`.
-            t: time at x, s.
             mask: rows for which time passes; None is all.
 
         Returns:
             What arrived, or None if nothing is due in any row.
         """
         self.tick += steps if mask is None else steps * mask
-        due = [self._due(*rhythm, mask) for rhythm in self._rhythms]
-        taking = tuple(i for i, r in enumerate(self._of) if due[r] is not False)
+        self._together = self._together and mask is None
+        self.latest = self.latest + steps if self._together else int(self.tick.max())
+        due = [self._due(group, mask) for group in self._groups]
+        taking = tuple(i for i, d in enumerate(due) if d is not False)
         if not taking:
             return None
-        clean, time = self._clean(taking, x, u, t), self.tick * self._timestep
-        parts, arrived, start = [], [], 0
-        for i in taking:
-            width = self.channels[i].space.nx
-            rows = due[self._of[i]]
-            rows = None if rows is True else rows
-            y, arrives = self._flaws[i].read(clean[:, start : start + width], time, rows)
+        time, parts = self.tick * self._timestep, []
+        for i, (group, clean) in zip(taking, self._clean(taking, x, u, self.latest * self._timestep)):
+            rows = due[i] if isinstance(due[i], np.ndarray) else None
+            y, arrives = group.source.read(clean, time, rows)
             here = rows if arrives is None else arrives if rows is None else rows & arrives
-            part = self._points[i]
-            self.last[:, part] = y if here is None else np.where(here[:, None], y, self.last[:, part])
-            parts.append(y)
-            arrived.append(here)
-            start += width
-        names = tuple(self.channels[i].name for i in taking)
-        y = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
-        if all(here is None for here in arrived):
-            return Reading(y, names, None)
-        columns = [
-            np.broadcast_to(True if here is None else here[:, None], (len(x), c.space.n))
-            for here, c in zip(arrived, (self.channels[i] for i in taking))
-        ]
-        return Reading(y, names, np.concatenate(columns, axis=1))
+            if here is None:
+                self.last[:, group.point] = y
+            else:
+                self.last[np.ix_(here, group.point)] = y[here]
+            parts.append((group, y, here))
+        return self._joined(parts)
 
-    def _due(self, period: int, phase: int, mask: Mask | None) -> Mask | bool:
-        """Rows in which a rhythm is due; True for all, False for none."""
-        since = self.tick - (phase or period)
-        due = (since >= 0) & (since % period == 0)
+    def _joined(self, parts: list[tuple[_Group, Array, Mask | None]]) -> Reading:
+        """The readings of some groups, channels in the robot's order."""
+        if len(parts) == 1:
+            group, y, here = parts[0]
+            whole = here is None
+            arrived = None if whole else np.repeat(here[:, None], group.width, axis=1)
+            return Reading(y, group.names, arrived)
+        by_channel = {}
+        for group, y, here in parts:
+            start = 0
+            for i in group.channels:
+                stop = start + self.channels[i].space.nx
+                by_channel[i] = (y[:, start:stop], here)
+                start = stop
+        order = sorted(by_channel)
+        y = np.concatenate([by_channel[i][0] for i in order], axis=1)
+        arrived = None
+        if any(here is not None for _, here in by_channel.values()):
+            columns = []
+            for i in order:
+                here = by_channel[i][1]
+                shape = (len(y), self.channels[i].space.n)
+                columns.append(np.broadcast_to(True if here is None else here[:, None], shape))
+            arrived = np.concatenate(columns, axis=1)
+        return Reading(y, tuple(self.channels[i].name for i in order), arrived)
+
+    def _due(self, group: _Group, mask: Mask | None) -> Mask | bool:
+        """Rows in which a group is due; True for all, False for none."""
+        first = group.phase or group.period
+        if self._together:
+            since = self.latest - first
+            return since >= 0 and since % group.period == 0
+        late = self.tick - first
+        due = (late >= 0) & (late % group.period == 0)
         if mask is not None:
             due &= mask
         return True if due.all() else due if due.any() else False
 
-    def _clean(self, channels: tuple[int, ...], x: Array, u: Array, t: float) -> Array:
-        """Noise-free readings `(row, ny)` of some channels, one after the other."""
-        if channels not in self._plans:
-            chosen = [self.channels[i] for i in channels]
-            columns = np.concatenate([c.columns for c in chosen])
-            self._plans[channels] = (columns, needed_stage(self._model, [c.index for c in chosen]))
-        columns, stage = self._plans[channels]
-        return self._rows.read(x, u, t, stage, columns)
+    def _clean(
+        self, groups: tuple[int, ...], x: Array, u: Array, t: float
+    ) -> list[tuple[_Group, Array]]:
+        """Noise-free readings `(row, ny)` of some groups."""
+        chosen = [self._groups[i] for i in groups]
+        if groups not in self._plans:
+            sensors = [self.channels[c].index for g in chosen for c in g.channels]
+            columns = np.concatenate([g.columns for g in chosen])
+            self._plans[groups] = (columns, needed_stage(self._model, sensors))
+        columns, stage = self._plans[groups]
+        y, out, start = self._rows.read(x, u, t, stage, columns), [], 0
+        for group in chosen:
+            out.append((group, y[:, start : start + len(group.columns)]))
+            start += len(group.columns)
+        return out
+
+    def _grouped(self, rows: int, quiet: frozenset[str]) -> list[_Group]:
+        """Channels with white noise only and one rhythm together, every other one by itself."""
+        members: dict[tuple[int, int, int], list[int]] = {}
+        for i, c in enumerate(self.channels):
+            plain = c.part is None and c.schedule is None
+            key = (c.timing.period, c.timing.phase, -1 if plain else i)
+            members.setdefault(key, []).append(i)
+        starts = np.cumsum([0] + [c.space.nx for c in self.channels])
+        groups = []
+        for (period, phase, alone), numbers in members.items():
+            chosen = [self.channels[i] for i in numbers]
+            space = layout.sensor_space(self._model, [c.index for c in chosen])
+            source: Source = (
+                White(chosen, space, rows, quiet)
+                if alone < 0
+                else Flawed(chosen[0], rows, chosen[0].name in quiet)
+            )
+            groups.append(
+                _Group(
+                    channels=tuple(numbers),
+                    names=tuple(c.name for c in chosen),
+                    period=period,
+                    phase=phase,
+                    source=source,
+                    columns=np.concatenate([c.columns for c in chosen]),
+                    point=np.concatenate([np.arange(starts[i], starts[i + 1]) for i in numbers]),
+                    width=space.n,
+                )
+            )
+        return groups

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estbench import experiment, inspection, store
+from estbench.analysis import commands as analysis_commands
 from estbench.errors import EstbenchError, ExecutorError
 from estbench.report import commands
 
@@ -143,6 +144,7 @@ def control(
 
 
 commands.register(app)
+analysis_commands.register(app)
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:

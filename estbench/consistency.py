@@ -60,10 +60,10 @@ def positive_mean_interval(values: Array, level: float = 0.95) -> Interval:
     A run's NEES/n and its mean squared error are averages of squares, skewed to the right, and
     Student's t interval of their mean then misses the truth too often, nearly always below it
     (docs/statistics.md has figures). The mean m of N values of coefficient of variation c is
-    taken to be gamma with shape 1/v, v = c²/N, of which the cube root is nearly normal
-    (Wilson & Hilferty 1931, PNAS 17): (m/μ)^(1/3) ~ N(1 - v/9, v/9), so that
+    taken to be gamma with shape N/c², of which the cube root is nearly normal (Wilson & Hilferty
+    1931, PNAS 17): (m/μ)^(1/3) ~ N(1 - v, v), v = c²/(9 N), so that
 
-        μ = m / (1 - v/9 ± q √(v/9))³,
+        μ = m / (1 - v ± q √v)³,
 
     with q Student's quantile for (N - 1)/(1 + c²) degrees of freedom: of a gamma sample c² is
     known to a relative variance of 2 (1 + c²)/N, not 2/N. For many runs, or little spread, this

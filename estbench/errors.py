@@ -40,6 +40,10 @@ class ExecutorError(EstbenchError):
     """Workers cannot be had, or died."""
 
 
+class AnalysisError(EstbenchError):
+    """A comparison or a report of results was asked for with a setting that makes no sense."""
+
+
 class MissingExtraError(EstbenchError):
     """An optional dependency is not installed."""
 

@@ -269,21 +269,18 @@ def traced(
     trajectory: Trajectory | None = None
     if not live:
         trajectory = simulate(prepared.simulator(runs), prepared.controller(runs), period)
-    n = prepared.space.n
-    prior = (
-        np.broadcast_to(prepared.mean, (len(runs), prepared.mean.size)).copy(),
-        np.broadcast_to(prepared.cov, (len(runs), n, n)).copy(),
-    )
     for label in prepared.scenario.estimators:
         source = (
             Recorded(prepared.instants, trajectory)
             if trajectory is not None
             else Live(prepared.simulator(runs), prepared.controller(runs), period)
         )
+        mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
         keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
         try:
             traces = run_filter(
-                prepared.estimator(label), prepared.space, prior, source, prepared.channel_spaces,
+                prepared.estimator(label), prepared.space, (mean, cov), source,
+                prepared.channel_spaces,
                 delays=prepared.delays(label), keys=keys, keep_cov=keep_cov, stop=stop,
             )  # fmt: skip
         except EstbenchError:

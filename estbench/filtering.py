@@ -3,23 +3,22 @@
 An estimator is driven the same way whether the truth was recorded beforehand (`Recorded`) or is
 stepped beside it because the controller sees the estimate (`Live`).
 
-A late reading is fused exactly by going back: the belief before the update at the instant it belongs
-to is taken from memory, and everything received since is replayed (Bar-Shalom, Li & Kirubarajan
-2001, sec. 6.4, call it the optimal treatment of out-of-sequence measurements).
+A late reading is fused exactly by going back: the belief before the update at the instant it
+belongs to is taken from memory, and everything received since is replayed.
 """
 
 import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.controllers import Controller
 from estbench.errors import DimensionError
-from estbench.estimators.base import Estimator, Fault
+from estbench.estimators.base import Estimator, Fault, Measurement, Passage, Smoother
 from estbench.inbox import Inbox
 from estbench.linalg import quadratic_form
 from estbench.manifold import Manifold
@@ -95,11 +94,13 @@ class Delays:
             and not fused.
         believed: channel -> latency that the filter assumes, in physics steps; a channel that is
             not listed carries the time it was taken.
+        nominal: channels whose readings carry the time at which they were due.
     """
 
     handling: Literal["exact", "naive"] = "exact"
     window: int = 0
     believed: Mapping[str, int] = field(default_factory=dict)
+    nominal: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +152,9 @@ def run_filter(
 ) -> Traces | None:
     """Drive an estimator through a source and compare it with the truth at every instant.
 
+    One that has the method `smooth` (see `Smoother`) is compared after it has looked back; its
+    innovations, and what a controller saw, are those of its filter.
+
     Args:
         estimator: any object of the protocol.
         space: the state space of truth and estimate.
@@ -171,6 +175,8 @@ def run_filter(
     belief = estimator.init(mean0, cov0, **({"keys": keys} if random else {}))
     recorder = _Recorder(estimator, space, len(source.instants), len(mean0), keep_cov)
     fusion = _Fusion(estimator, source.instants, Inbox(channels), delays or Delays(), len(mean0))
+    if hasattr(estimator, "smooth"):
+        fusion.past = _passage(belief, [i.end for i in source.instants])
     cpu_time = time.thread_time() - began
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         recorder.add(0, source.x0, belief)
@@ -183,6 +189,12 @@ def run_filter(
             belief = fusion.step(k, belief, u, arrived)
             cpu_time += time.thread_time() - began
             recorder.add(k + 1, x, belief)
+        if fusion.past is not None:
+            began = time.thread_time()
+            smoothed = cast(Smoother, estimator).smooth(fusion.past)
+            cpu_time += time.thread_time() - began
+            for k, belief in enumerate(smoothed):
+                recorder.add(k, recorder.truth[k], belief)
     return recorder.traces(fusion, cpu_time)
 
 
@@ -208,6 +220,7 @@ class _Fusion:
         self.dof = np.zeros((len(instants), runs), np.int64)
         self.late = np.zeros(runs, np.int64)
         self.whiteness = _LagOne(runs)
+        self.past: Passage | None = None
 
     def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
         """The belief at the end of instant k, given that at its start."""
@@ -235,7 +248,8 @@ class _Fusion:
         """The instant at which the filter fuses a reading that arrives at k, None if too late."""
         if self._delays.handling == "naive":
             return k
-        instant = delivery.due
+        nominal = delivery.channel in self._delays.nominal
+        instant = delivery.due if nominal else delivery.taken
         if delivery.channel in self._delays.believed:
             tick = self._ticks[k] - self._delays.believed[delivery.channel]
             instant = int(np.searchsorted(self._ticks, tick, "right")) - 1
@@ -258,9 +272,15 @@ class _Fusion:
             )
             self.nis[k] += innovation.nis
             self.dof[k] += innovation.dof
-            self.whiteness.put(k, layer, joint.channels, innovation.white)
+            if np.any(innovation.dof):
+                self.whiteness.put(k, layer, joint.channels, innovation.white)
         if joints:
             self.nis[k, self.dof[k] == 0] = np.nan
+        if self.past is not None:  # a replay writes over what it changes
+            self.past.beliefs[k + 1], self.past.controls[k] = belief, u
+            self.past.measurements[k + 1] = [
+                Measurement(joint.y, u, joint.channels, joint.mask) for joint in joints
+            ]
         return belief
 
     def _forget(self, k: int) -> None:
@@ -274,6 +294,12 @@ class _Fusion:
         self.whiteness.settle(oldest)
         for j in [j for j in self._priors if j < oldest]:
             del self._priors[j], self._controls[j]
+
+
+def _passage(start: Any, ends: list[float]) -> Passage:
+    """One to be filled in."""
+    count = len(ends)
+    return Passage([start] * (count + 1), [np.empty(0)] * count, [0.0, *ends], [[]] * (count + 1))
 
 
 class _LagOne:

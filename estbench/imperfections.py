@@ -3,7 +3,8 @@
 In order: scale factor and misalignment, bias and drift, white noise with outliers, saturation,
 quantization, deadband, stuck-at faults, dropout. Everything lives in the reading's tangent, so an
 attitude is biased by a rotation. The random numbers are handed in (`Draws`), so that the same
-function serves a recorded batch and a live environment.
+functions serve a recorded batch and a live environment: `advance` is what happens to the sensor
+whatever it looks at, `respond` what it then says; `deliver` is both.
 
 Sources: Gauss-Markov drift and its discretization: Gelb 1974, sec. 3.8; bursts: Gilbert 1960.
 """
@@ -12,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from estbench.manifold import Manifold
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Draws = dict[str, Array]
 """Purpose -> random numbers `(run, width)` of one reading, or of the start."""
 
@@ -96,19 +98,21 @@ class State:
     Attributes:
         bias: constant plus random walk `(run, m)`.
         drift: Gauss-Markov part `(run, m)`.
+        error: what this reading adds to the true one: bias, drift and noise `(run, m)`.
         gain: matrix that multiplies the true reading `(run, m, m)`, or None for the identity.
         last: last delivered reading `(run, ny)`, or None before the first.
         stuck: in a stuck-at fault `(run,)`.
-        lost: in a gap `(run,)`.
+        lost: in a gap; this reading does not arrive `(run,)`.
         time: of the last reading, s.
     """
 
     bias: Array
     drift: Array
+    error: Array
     gain: Array | None
     last: Array | None
-    stuck: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
+    stuck: Mask
+    lost: Mask
     time: float = 0.0
 
 
@@ -128,7 +132,7 @@ def start(part: Imperfections, draws: Draws, runs: int, m: int) -> State:
     no = np.zeros(runs, bool)
     bias = part.bias * draws["bias"] if "bias" in draws else zero
     drift = part.drift * draws["drift0"] if "drift0" in draws else zero
-    return State(bias, drift, gain, None, no, no)
+    return State(bias, drift, zero, gain, None, no, no)
 
 
 def deliver(
@@ -139,7 +143,7 @@ def deliver(
     state: State,
     draws: Draws,
     time: float,
-) -> tuple[Array, NDArray[np.bool_] | None, State]:
+) -> tuple[Array, Mask | None, State]:
     """One reading: what is delivered `(run, ny)`, where it arrives `(run,)` (None: all), memory.
 
     Args:
@@ -151,8 +155,15 @@ def deliver(
         draws: as `Imperfections.normals` and `uniforms` ask.
         time: of this reading, s.
     """
-    step = time - state.time
-    bias, drift = state.bias, state.drift
+    state = advance(part, noise, state, draws, time)
+    y, state = respond(part, space, clean, state)
+    return y, ~state.lost if part.dropout else None, state
+
+
+def advance(part: Imperfections, noise: Array, state: State, draws: Draws, time: float) -> State:
+    """The sensor at its next reading: its error, and whether it is stuck or the reading lost."""
+    step, first = time - state.time, np.ravel(state.time) == 0.0
+    bias, drift, stuck, lost = state.bias, state.drift, state.stuck, state.lost
     if "walk" in draws:
         bias = bias + part.walk * np.sqrt(step) * draws["walk"]
     if "drift" in draws:
@@ -163,32 +174,48 @@ def deliver(
     if "outlier" in draws:
         hit = draws["outlier"] < part.outlier_probability
         noise = noise * np.where(hit, part.outlier_scale, 1.0)
-    y = clean if state.gain is None else (state.gain @ clean[..., None])[..., 0]
-    y = space.plus(y, bias + drift + noise)
-    if space.flat:
-        y = _transfer(part, y)
-    stuck, lost, mask = state.stuck, state.lost, None
     if "stuck" in draws:
         chance = draws["stuck"][:, 0]
         stuck = np.where(stuck, chance >= 1.0 / part.stuck_length, chance < part.stuck)
-        if state.last is not None:
-            y = np.where(stuck[:, None], state.last, y)
+        stuck &= ~first  # there is nothing to be stuck at
     if "dropout" in draws:
         chance = draws["dropout"][:, 0]
-        leave = 1.0 / part.dropout_length
-        # Gilbert's chain: with this chance of entering a gap the long-run share lost is `dropout`.
-        enter = min(1.0, leave * part.dropout / (1.0 - part.dropout)) if part.dropout < 1 else 1.0
-        if part.dropout_length == 1.0:
-            lost = chance < part.dropout
-        else:
-            lost = np.where(lost, chance >= leave, chance < enter)
-        mask = ~lost
-    memory = y if "stuck" in draws else None
-    return (
-        y,
-        mask,
-        replace(state, bias=bias, drift=drift, last=memory, stuck=stuck, lost=lost, time=time),
-    )
+        lost = chance < part.dropout
+        if part.dropout_length > 1.0:
+            leave = 1.0 / part.dropout_length
+            # Gilbert's chain: entered with this chance, and begun (at t = 0) in or out of a gap
+            # with the share `dropout`, it loses that share of the readings at any time.
+            enter = leave * part.dropout / (1.0 - part.dropout)
+            chain = np.where(state.lost, chance >= leave, chance < enter)
+            lost = np.where(first, lost, chain)
+    error = bias + drift + noise
+    return replace(
+        state, bias=bias, drift=drift, error=error, stuck=stuck, lost=lost, time=time
+    )  # fmt: skip
+
+
+def respond(
+    part: Imperfections, space: Manifold, clean: Array, state: State, rows: Mask | None = None
+) -> tuple[Array, State]:
+    """What the sensor says of a true reading `(run, ny)`, and its memory of having said so.
+
+    Args:
+        part: the sensor's imperfections.
+        space: the manifold of its readings.
+        clean: noise-free readings `(run, ny)`.
+        state: from `advance`.
+        rows: runs that read now `(run,)`; the others remember what they said before.
+    """
+    y = clean if state.gain is None else (state.gain @ clean[..., None])[..., 0]
+    y = space.plus(y, state.error)
+    if space.flat:
+        y = _transfer(part, y)
+    if not part.stuck:
+        return y, state
+    if state.last is not None:
+        y = np.where(state.stuck[:, None], state.last, y)
+    last = y if rows is None or state.last is None else np.where(rows[:, None], y, state.last)
+    return y, replace(state, last=last)
 
 
 def _transfer(part: Imperfections, y: Array) -> Array:
@@ -205,4 +232,5 @@ def _transfer(part: Imperfections, y: Array) -> Array:
 
 def _student_scale(uniform: Array, dof: float) -> Array:
     """Factor `(run, 1)` that makes Gaussian noise Student-t of the same covariance (dof > 2)."""
-    return np.sqrt((dof - 2.0) / chi2.ppf(np.clip(uniform, 1e-12, 1 - 1e-12), dof))
+    chi2 = 2.0 * gammaincinv(0.5 * dof, np.clip(uniform, 1e-12, 1 - 1e-12))
+    return np.sqrt((dof - 2.0) / chi2)

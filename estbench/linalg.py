@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 def symmetrize(a: Array) -> Array:
     """(A + Aᵀ)/2 of `(..., n, n)`."""
-    return 0.5 * (a + np.swapaxes(a, -1, -2))
+    return 0.5 * (a + a.mT)
 
 
 def cholesky(a: Array) -> Array:
@@ -22,19 +22,22 @@ def cholesky(a: Array) -> Array:
     halved until the culprits stand alone, so the usual case pays nothing and a failure costs
     O(log run) further calls.
     """
-    if not np.isfinite(a).all():
-        good = np.isfinite(a).all(axis=(-2, -1))
-        out = np.full_like(a, np.nan)
-        if good.any():
-            out[good] = cholesky(a[good])
-        return out
     try:
-        return np.linalg.cholesky(a)
+        lower = np.asarray(np.linalg.cholesky(a), np.float64)
     except np.linalg.LinAlgError:
+        good = np.isfinite(a).all(axis=(-2, -1))
+        if not good.all():
+            out = np.full_like(a, np.nan)
+            if good.any():
+                out[good] = cholesky(a[good])
+            return out
         if len(a) == 1:
             return np.full_like(a, np.nan)
         half = len(a) // 2
         return np.concatenate([cholesky(a[:half]), cholesky(a[half:])])
+    if not np.isfinite(lower.sum()):  # LAPACK lets some infinities and NaNs pass
+        lower[~np.isfinite(lower).all(axis=(-2, -1))] = np.nan
+    return lower
 
 
 def solve_lower(lower: Array, b: Array) -> Array:
@@ -61,7 +64,7 @@ def solve_lower_transposed(lower: Array, b: Array) -> Array:
 
 
 def quadratic_form(cov: Array, v: Array) -> Array:
-    """vᵀ P⁻¹ v `(run,)` for P `(run, n, n)` and v `(run, n)`; NaN where P has no Cholesky factor."""
+    """vᵀ P⁻¹ v `(run,)` for P `(run, n, n)`, v `(run, n)`; NaN where P has no Cholesky factor."""
     white = solve_lower(cholesky(cov), v[..., None])[..., 0]
     return np.einsum("...i,...i->...", white, white)
 

@@ -134,11 +134,22 @@ class Manifold:
         if self.flat:
             return cov
         jacobian = self.reset_jacobian(delta)
-        return jacobian @ cov @ np.swapaxes(jacobian, -1, -2)
+        return jacobian @ cov @ jacobian.mT
 
     def index(self, name: str) -> int:
         """Position of the tangent coordinate `name`."""
         return self.names.index(name)
+
+
+def product(spaces: Sequence[Manifold]) -> Manifold:
+    """The manifold of points that stand one after the other."""
+    names, units, quaternions, nx = [], [], [np.zeros((0, 2), np.intp)], 0
+    for space in spaces:
+        quaternions.append(space.quaternions + np.array([nx, len(names)]))
+        names += space.names
+        units += space.units
+        nx += space.nx
+    return Manifold(tuple(names), tuple(units), np.concatenate(quaternions))
 
 
 def _weighted(weights: Array, points: Array) -> Array:

@@ -20,7 +20,8 @@ def unseen(
 
     Args:
         model: the filter's model.
-        x, u: nominal state `(nx,)` and control `(nu,)`.
+        x: nominal state `(nx,)`.
+        u: nominal control `(nu,)`.
         dt: filter step, s.
         scale: prior standard deviation of each coordinate `(n,)`.
         steps: length of the window.

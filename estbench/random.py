@@ -48,7 +48,7 @@ def normal(keys: Keys, counter: Keys, purpose: int, *shape: int) -> Array:
 def gaussian(keys: Keys, counter: Keys, purpose: int, cov: Array, count: int) -> Array:
     """Samples `(run, count, n)` of N(0, P) for P `(n, n)` or `(run, n, n)`, perhaps singular."""
     factor = square_root(cov if cov.ndim == 3 else cov[None])
-    return normal(keys, counter, purpose, count, cov.shape[-1]) @ np.swapaxes(factor, -1, -2)
+    return normal(keys, counter, purpose, count, cov.shape[-1]) @ factor.mT
 
 
 def square_root(cov: Array) -> Array:

@@ -17,19 +17,21 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Delivery:
-    """Readings of one channel, due at one instant, that arrive at one instant.
+    """Readings of one channel, taken at one instant, that arrive at one instant.
 
     Attributes:
         channel: its name.
-        due: index of the instant that the readings are labelled with.
+        due: index of the instant at which they were due.
         y: `(run, ny)`; only the rows of `mask` mean anything.
         mask: runs whose reading arrives now `(run,)`; None means all.
+        taken: index of the instant at which they were taken; without jitter `due`.
     """
 
     channel: str
     due: int
     y: Array
     mask: Mask | None
+    taken: int
 
 
 class Readings:
@@ -40,14 +42,14 @@ class Readings:
     Args:
         channel: the sensor.
         instants: of the event loop.
-        seed, runs: whose streams.
+        seed: of the scenario.
+        runs: whose streams.
     """
 
     def __init__(
         self, channel: Channel, instants: Sequence[Instant], seed: int, runs: Sequence[int]
     ):
         self.channel = channel
-        self._runs = len(runs)
         ticks = np.array([i.tick for i in instants])
         last = int(ticks[-1])
         timing, name, m = channel.timing, channel.name, channel.space.n
@@ -56,7 +58,6 @@ class Readings:
         self._times = due * timing.timestep
         self._noise = channel.noise(seed, runs, len(due))
         part = channel.part
-        self._draws: dict[str, Array] = {}
         if part is not None:
             purpose = f"sensor:{name}:"
             normals = {k: streams.normals(seed, runs, purpose + k, len(due), w)
@@ -67,62 +68,62 @@ class Readings:
                          for k, w in part.constants(m).items()}  # fmt: skip
             self._draws = normals | uniforms
             self._state = imperfections.start(part, constants, len(runs), m)
+        self._advanced = -1
         self._punctual = timing.punctual
-        # Instant -> readings that are taken then.
-        self._take = {int(k): [j] for j, k in enumerate(self._due)}
         if self._punctual:
+            self._reading = {int(k): j for j, k in enumerate(self._due)}
             return
         sampled = timing.sampled(seed, runs, name, last)
-        self._sampled = np.searchsorted(ticks, sampled)
-        self._arrives = np.searchsorted(ticks, timing.arrived(seed, runs, name, last))
-        self._complete = np.searchsorted(ticks, due + timing.jitter)
-        self._take = {}
-        for j, row in enumerate(self._sampled):
-            for k in np.unique([*row, self._complete[j]]):
-                self._take.setdefault(int(k), []).append(j)
-        self._parts: dict[int, Array] = {}
+        self._taken = np.searchsorted(ticks, sampled)
+        self._arrives = np.searchsorted(ticks, timing.arrived(sampled, seed, runs, name, last))
+        # No two readings share an instant: jitter is less than half a period.
+        self._reading = {int(k): j for j, row in enumerate(self._taken) for k in np.unique(row)}
         self._waiting: dict[int, list[Delivery]] = {}
 
     def takes(self, k: int) -> bool:
         """Whether any run takes a reading at instant k."""
-        return k in self._take
+        return k in self._reading
 
     def at(self, k: int, clean: Array | None) -> list[Delivery]:
         """What arrives at instant k, given the noise-free readings `(run, ny)` if it takes any."""
-        for j in self._take.get(k, ()) if clean is not None else ():
+        if clean is not None:
+            j = self._reading[k]
+            name, due = self.channel.name, int(self._due[j])
             if self._punctual:
-                y, mask = self._deliver(j, clean)
-                return [Delivery(self.channel.name, int(self._due[j]), y, mask)]
-            self._collect(j, k, clean)
+                y, mask = self._read(j, clean, None)
+                return [Delivery(name, due, y, mask, due)]
+            here = self._taken[j] == k
+            y, mask = self._read(j, clean, here)
+            there = here if mask is None else here & mask
+            for arrival in np.unique(self._arrives[j][there]):
+                now = there & (self._arrives[j] == arrival)
+                packet = Delivery(name, due, y, None if now.all() else now, k)
+                self._waiting.setdefault(int(arrival), []).append(packet)
         return [] if self._punctual else self._waiting.pop(k, [])
 
-    def _collect(self, j: int, k: int, clean: Array) -> None:
-        """Take reading j in the runs that sample it now; send it off when all of them have."""
-        parts = self._parts.setdefault(j, clean.copy())
-        now = self._sampled[j] == k
-        parts[now] = clean[now]
-        if k != self._complete[j]:
-            return
-        y, mask = self._deliver(j, self._parts.pop(j))
-        for arrival in np.unique(self._arrives[j]):
-            there = self._arrives[j] == arrival
-            there = there if mask is None else there & mask
-            if there.any():
-                packet = Delivery(
-                    self.channel.name, int(self._due[j]), y, None if there.all() else there
-                )
-                self._waiting.setdefault(int(arrival), []).append(packet)
+    def _read(self, j: int, clean: Array, rows: Mask | None) -> tuple[Array, Mask | None]:
+        """Reading j `(run, ny)` with all that the sensor does to it, and who gets it `(run,)`.
 
-    def _deliver(self, j: int, clean: Array) -> tuple[Array, Mask | None]:
-        """Reading j with everything that the sensor does to it."""
-        channel, time = self.channel, float(self._times[j])
+        Args:
+            j: which reading.
+            clean: noise-free readings `(run, ny)`.
+            rows: runs that take it now `(run,)`; None is all.
+        """
+        channel, part = self.channel, self.channel.part
+        if part is None:
+            return channel.space.plus(clean, self._white(j)), None
+        if j != self._advanced:
+            draws = {purpose: values[j] for purpose, values in self._draws.items()}
+            self._state = imperfections.advance(
+                part, self._white(j), self._state, draws, float(self._times[j])
+            )
+            self._advanced = j
+        y, self._state = imperfections.respond(part, channel.space, clean, self._state, rows)
+        return y, ~self._state.lost if part.dropout else None
+
+    def _white(self, j: int) -> Array:
+        """White noise of reading j `(run, m)`, as the schedule scales it."""
         noise = self._noise[j]
-        if channel.schedule is not None:
-            noise = noise * factor(channel.schedule, time)
-        if channel.part is None:
-            return channel.space.plus(clean, noise), None
-        draws = {purpose: values[j] for purpose, values in self._draws.items()}
-        y, mask, self._state = imperfections.deliver(
-            channel.part, channel.space, clean, noise, self._state, draws, time
-        )
-        return y, mask
+        if self.channel.schedule is None:
+            return noise
+        return noise * factor(self.channel.schedule, float(self._times[j]))

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from estbench.errors import ScenarioError, did_you_mean
 
@@ -21,10 +28,8 @@ NonNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, lt=1)]
 
 
-Schedule = Annotated[
-    list[tuple[Positive, Positive]],
-    Field(min_length=1, description="rows (until s, factor): the factor holds up to that time"),
-]
+Schedule = Annotated[list[tuple[Positive, Positive]], Field(min_length=1)] | str
+"""Rows (until s, factor): the factor holds up to that time; or `module:function`, t -> factor."""
 
 
 class Section(BaseModel):
@@ -70,6 +75,9 @@ class BelievedChannelSection(Section):
     latency: NonNegative | None = Field(
         None, description="s; default: readings carry the time they were taken"
     )
+    timestamps: Literal["taken", "due"] = Field(
+        "taken", description="of readings with jitter: when they were taken, or were to be"
+    )
     follow_schedule: bool = Field(True, description="whether the filter knows the noise schedule")
 
 
@@ -111,6 +119,18 @@ class InitialSection(Section):
     cov: list[list[float]] | None = Field(None, description="full P₀ in place of std")
 
 
+class StartSection(Section):
+    """How the estimators start, where not from x̂₀ and P₀; `start` of one estimator goes before."""
+
+    offset: PerName = Field(0.0, description="added to x̂₀: a wrong start")
+    inflate: PerName = Field(1.0, description="factor on the standard deviations of P₀")
+    method: Literal["prior", "batch", "static"] = Field(
+        "prior", description="batch: fit the first readings; static: the same, at rest"
+    )
+    window: Positive = Field(0.2, description="s of readings for batch and static")
+    rest_std: Positive = Field(0.01, description="static: std of the velocities, per s")
+
+
 class ProcessNoiseSection(Section):
     """Spectral density Q_s of the disturbance, true and (scaled) assumed."""
 
@@ -121,7 +141,9 @@ class ProcessNoiseSection(Section):
         "default 0.01 on what it can drive (additive: the velocities)",
     )
     matrix: list[list[float]] | None = Field(None, description="full Q_s in place of density")
-    schedule: Schedule | None = Field(None, description="rows (until s, factor on Q_s)")
+    schedule: Schedule | None = Field(
+        None, description="rows (until s, factor on Q_s), or function"
+    )
 
 
 class AddSensor(Section):
@@ -132,7 +154,13 @@ class AddSensor(Section):
     object_type: str | None = Field(None, description="joint, site, body, geom, ...; guessed")
 
 
-PerAxis = NonNegative | list[NonNegative]
+def _not_negative(value: float | list[float]) -> float | list[float]:
+    if any(v < 0 for v in (value if isinstance(value, list) else [value])):
+        raise ValueError(f"Input should be greater than or equal to 0, got {value}")
+    return value
+
+
+PerAxis = Annotated[float | list[float], AfterValidator(_not_negative)]
 
 
 class ChannelSection(Section):
@@ -143,7 +171,9 @@ class ChannelSection(Section):
         None, description="datasheet: unit/√Hz; the std is this times √rate"
     )
     cov: list[list[float]] | None = Field(None, description="full R in place of noise")
-    schedule: Schedule | None = Field(None, description="rows (until s, factor on the std)")
+    schedule: Schedule | None = Field(
+        None, description="rows (until s, factor on the std), or function"
+    )
     bias: PerAxis = Field(0.0, description="std of a constant drawn once a run")
     bias_walk: PerAxis = Field(0.0, description="random walk, unit/√s")
     drift: PerAxis = Field(0.0, description="std of a Gauss-Markov drift")
@@ -179,6 +209,11 @@ class ChannelSection(Section):
     latency_std: NonNegative = Field(0.0, description="random latency: mean `latency`, this std, s")
     enabled: bool = True
     add: AddSensor | None = None
+    of: list[str] | None = Field(None, description="sensors that are read together, with one R")
+    function: str | None = Field(
+        None, description="module:function(x, u, t) -> y in place of a sensor"
+    )
+    unit: str | None = Field(None, description="of a function's reading")
 
 
 class ControlSection(Section):
@@ -239,6 +274,7 @@ class Scenario(Section):
     filter: FilterSection = FilterSection()
     simulation: SimulationSection = SimulationSection()
     initial: InitialSection = InitialSection()
+    start: StartSection = StartSection()
     process_noise: ProcessNoiseSection = ProcessNoiseSection()
     channels: dict[str, ChannelSection] = Field(default_factory=dict)
     control: ControlSection = ControlSection()
@@ -306,6 +342,26 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     if not overrides:
         return scenario
     return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
+
+
+def start(scenario: Scenario, label: str) -> StartSection:
+    """How the estimator of a label starts: the scenario's [start], changed by its own table.
+
+    Raises:
+        ScenarioError: its `start` is not a table, or does not validate.
+    """
+    own = scenario.estimators[label].get("start", {})
+    if not isinstance(own, dict):
+        raise ScenarioError(
+            f"estimators.{label}.start is {own!r}; use a table, e.g. start = {{inflate = 10.0}}"
+        )
+    try:
+        return StartSection.model_validate(scenario.start.model_dump() | own)
+    except ValidationError as error:
+        mistakes = (_explain(e, StartSection) for e in error.errors())
+        raise ScenarioError(
+            "; ".join(f"estimators.{label}.start.{mistake}" for mistake in mistakes)
+        ) from None
 
 
 def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Scenario:
@@ -389,12 +445,12 @@ def _portable(path: Path) -> str:
     return str(resolved)
 
 
-def _explain(error: Any) -> str:
+def _explain(error: Any, root: type[Section] = Scenario) -> str:
     """One mistake as `path: what is wrong (did you mean ...)`."""
     where = ".".join(str(part) for part in error["loc"]) or "scenario"
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "extra_forbidden":
-        section: Any = Scenario
+        section: Any = root
         for part in error["loc"][:-1]:
             section = _inside(section, part)
         known = getattr(section, "model_fields", {})

@@ -1,70 +1,80 @@
-"""Sensors: which channels a scenario uses, and what each is: noise, imperfections, timing."""
+"""Sensors: which channels a scenario uses, and what each is: source, noise, flaws, timing."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import streams
-from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
+from estbench import datasheet, schedules, streams, users
+from estbench.errors import ScenarioError, did_you_mean
 from estbench.imperfections import Imperfections
-from estbench.linalg import is_positive_definite
 from estbench.manifold import Manifold
 from estbench.models import layout
-from estbench.models.mujoco import sensor_columns, whole_steps
+from estbench.models.mujoco import whole_steps
+from estbench.models.reading import Source, StateFunction, sensor_columns
 from estbench.scenario import BelievedChannelSection, ChannelSection
-from estbench.schedules import Schedule
-from estbench.timing import Timing
+from estbench.timing import Native, Timing
 
 Array = NDArray[np.float64]
-
-# Standard deviation assumed for a sensor that declares none, by unit: what a decent robot has.
-DEFAULT_NOISE = {
-    "rad": 0.01, "m": 0.01, "rad/s": 0.02, "m/s": 0.02, "m/s²": 0.1, "rad/s²": 0.5, "N": 0.5,
-    "N m": 0.1, "T": 0.01, "pixel": 1.0, "s": 1e-3,
-}  # fmt: skip
-FALLBACK_NOISE = 0.01
-ALLAN_PEAK = 0.6173
-"""Peak of the Allan deviation of a Gauss-Markov process over its std (at 1.89 correlation times)."""
-ALLAN_FLOOR = 0.6643
-"""Floor of the Allan deviation over the bias instability, sqrt(2 ln 2/π) (IEEE Std 952)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One sensor as it is on the robot.
+    """One sensor as it is on the robot, or several taken together, or a function of the state.
 
     Attributes:
-        name: the MuJoCo sensor's name.
-        index: its index in the model.
-        space: the manifold of its reading; names and units.
+        name: the MuJoCo sensor's name, or the scenario's for what is not one sensor.
+        source: its noise-free reading.
+        sensors: names of the MuJoCo sensors it reads; none for a function.
+        kind: type of the sensor(s), or `function`.
         cov: R `(m, m)`.
-        columns: where the reading stands in sensordata.
+        columns: where the reading stands in sensordata; none for a function.
         timing: rate, phase, jitter, latency.
         part: biases, quantization, faults, ...; None for white noise only.
         schedule: factor on the noise's std over time, or None.
     """
 
     name: str
-    index: int
-    space: Manifold
+    source: Source
+    sensors: tuple[str, ...]
+    kind: str
     cov: Array
     columns: NDArray[np.intp]
     timing: Timing
     part: Imperfections | None = None
-    schedule: Schedule | None = None
+    schedule: schedules.Schedule | None = None
+
+    @property
+    def space(self) -> Manifold:
+        """The manifold of its reading; names and units."""
+        return self.source.space
+
+    @property
+    def index(self) -> int:
+        """The (first) MuJoCo sensor, -1 for a function."""
+        return self.source.sensors[0] if self.source.sensors else -1
 
     @property
     def period(self) -> int:
         """Physics steps between readings."""
         return self.timing.period
 
+    @cached_property
+    def factor(self) -> Array:
+        """L with L Lᵀ = R; zero rows where the sensor is exact."""
+        exact = np.diag(self.cov) == 0.0
+        factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
+        return factor.astype(np.float64)
+
     def noise(self, seed: int, runs: Sequence[int], count: int) -> Array:
         """White v ~ N(0, R) `(count, run, m)` of the run's first `count` readings."""
         white = streams.normals(seed, runs, f"sensor:{self.name}", count, self.space.n)
-        return white @ np.linalg.cholesky(self.cov).T
+        # A stack of small products: one large product could round by the count of rows.
+        return (self.factor @ white[..., None])[..., 0]
 
 
 def build(
@@ -73,9 +83,12 @@ def build(
     use: Sequence[str] | None,
     frame_skip: int,
     duration: float = 0.0,
-    native: Mapping[str, tuple[float, float, float]] | None = None,
+    native: Mapping[str, Native] | None = None,
+    believed: Mapping[str, BelievedChannelSection] | None = None,
 ) -> tuple[list[Channel], list[str]]:
     """The channels in use, and notices about what was assumed.
+
+    A sensor that is taken together with others is a channel of its own only where `use` names it.
 
     Args:
         model: the truth's model, with added sensors.
@@ -83,35 +96,57 @@ def build(
         use: names in use, or None for all.
         frame_skip: physics steps of a filter step: the default period.
         duration: of a run, s; schedules must last as long.
-        native: name -> the MJCF's own (period, phase, delay), s, of sensors with nsample > 0.
+        native: name -> the MJCF's own rhythm of a sensor with a history.
+        believed: the scenario's `[filter.channels.NAME]`; a channel whose R is given there may be
+            free of noise.
 
     Raises:
         ScenarioError: a name that is no sensor, no sensor at all, a rate that does not fit.
         CovarianceError, DimensionError: R is not positive definite or has the wrong size.
     """
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
+    made = {name: s for name, s in sections.items() if s.of is not None or s.function is not None}
+    for name in made:
+        if name in names:
+            raise ScenarioError(f"channels.{name}: a sensor has this name; choose another")
+    known = [*names, *made]
     for where, wanted in (("sensors", use or ()), ("channels", sections)):
         for name in wanted:
-            if name not in names:
-                raise ScenarioError(f"{where}: no sensor '{name}'{did_you_mean(name, names)}")
+            if name not in known:
+                raise ScenarioError(f"{where}: no sensor '{name}'{did_you_mean(name, known)}")
+    active = [
+        name for name in known
+        if sections.get(name, ChannelSection()).enabled and (use is None or name in use)
+    ]  # fmt: skip
+    if use is None:
+        members = {member for name in active if name in made for member in made[name].of or ()}
+        active = [name for name in active if name not in members]
     channels, notices = [], []
-    for index, name in enumerate(names):
-        section = sections.get(name, ChannelSection())
-        if (use is not None and name not in use) or not section.enabled:
-            continue
-        where = f"channels.{name}"
-        space = layout.sensor_space(model, [index])
+    for name in active:
+        section, where = sections.get(name, ChannelSection()), f"channels.{name}"
+        source, kind = _source(name, section, model, names)
         timing = _timing(
-            section, where, model.opt.timestep, frame_skip, (native or {}).get(name, (0.0,) * 3)
-        )
-        given, rate = float(model.sensor_noise[index]), 1.0 / (timing.period * timing.timestep)
-        cov, assumed = _covariance(section, where, space, given, rate)
-        if assumed:
-            notices.append(f"{name}: no noise given; assuming {assumed:g} {space.units[0]}")
-        part = _imperfections(section, where, space, float(model.sensor_cutoff[index]))
-        schedule = Schedule.build(section.schedule, duration, f"{where}.schedule")
-        columns = sensor_columns(model, [index])
-        channels.append(Channel(name, index, space, cov, columns, timing, part, schedule))
+            section, where, model.opt.timestep, frame_skip,
+            [(native or {}).get(names[i], Native()) for i in source.sensors],
+        )  # fmt: skip
+        rate = 1.0 / (timing.period * timing.timestep)
+        belief = (believed or {}).get(name, BelievedChannelSection())
+        exact = belief.noise is not None or belief.cov is not None
+        std = _per_axis(model, source, model.sensor_noise)
+        cov, assumed = datasheet.covariance(section, where, source.space, std, rate, exact)
+        if assumed.any():
+            guess = dict.fromkeys(
+                f"{s:g} {unit}" for s, unit in zip(assumed, source.space.units) if s
+            )
+            notices.append(f"{name}: no noise given; assuming {', '.join(guess)}")
+        cutoff = _per_axis(model, source, native_cutoff(model), np.inf)
+        part = datasheet.imperfections(section, where, source.space, cutoff)
+        schedule = schedules.build(
+            section.schedule, source.space.n, duration, f"{where}.schedule"
+        )  # fmt: skip
+        columns = sensor_columns(model, source.sensors)
+        read = tuple(names[i] for i in source.sensors)
+        channels.append(Channel(name, source, read, kind, cov, columns, timing, part, schedule))
     if not channels:
         raise ScenarioError(
             "no sensor: the MJCF declares none in use; add <sensor> elements, or "
@@ -120,46 +155,80 @@ def build(
     return channels, notices
 
 
+def native_cutoff(model: mujoco.MjModel) -> Array:
+    """Saturation that the MJCF gives each sensor `(nsensor,)`, infinite for none.
+
+    MuJoCo clips neither unit vectors nor quaternions, and the cutoff of its distance sensors is
+    how far they look.
+    """
+    kinds, types = mujoco.mjtDataType, mujoco.mjtSensor
+    numbers = np.isin(model.sensor_datatype, [kinds.mjDATATYPE_REAL, kinds.mjDATATYPE_POSITIVE])
+    looks = [types.mjSENS_GEOMDIST, types.mjSENS_GEOMNORMAL, types.mjSENS_GEOMFROMTO]
+    clipped = numbers & ~np.isin(model.sensor_type, looks) & (model.sensor_cutoff > 0)
+    return np.where(clipped, model.sensor_cutoff, np.inf)
+
+
 def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Array:
     """R as the filter believes it: its own, or the true one."""
     if section.noise is None and section.cov is None:
         return channel.cov
     given = ChannelSection(noise=section.noise, cov=section.cov)
-    return _covariance(given, f"filter.channels.{channel.name}", channel.space, 0.0, 1.0)[0]
+    where, none = f"filter.channels.{channel.name}", np.zeros(channel.space.n)
+    return datasheet.covariance(given, where, channel.space, none, 1.0)[0]
 
 
-def _covariance(
-    section: ChannelSection, where: str, space: Manifold, native: float, rate: float
-) -> tuple[Array, float]:
-    """R `(m, m)`, and the std that had to be assumed (0 if none)."""
-    if section.cov is not None:
-        cov = np.asarray(section.cov, dtype=np.float64)
-        if cov.shape != (space.n, space.n):
-            raise DimensionError(
-                f"{where}.cov has shape {cov.shape}; expected {(space.n, space.n)} "
-                f"({', '.join(space.names)})"
-            )
-        if not is_positive_definite(cov):
-            raise CovarianceError(f"{where}.cov (R) is not symmetric positive definite")
-        return cov, 0.0
-    assumed = 0.0
-    if section.noise_density is not None:
-        std = np.array([section.noise_density * np.sqrt(rate)])
-    elif section.noise is not None:
-        std = np.atleast_1d(np.asarray(section.noise, dtype=np.float64))
-    else:
-        if native == 0.0:
-            native = assumed = DEFAULT_NOISE.get(space.units[0], FALLBACK_NOISE)
-        std = np.array([native])
-    if len(std) not in (1, space.n):
-        raise DimensionError(
-            f"{where}.noise has {len(std)} values; expected 1 or {space.n} ({', '.join(space.names)})"
-        )
-    if not (std > 0).all():
-        raise CovarianceError(
-            f"{where}.noise is {std.min():g}; R must be positive definite, so use a std above 0"
-        )
-    return np.diag(np.broadcast_to(std, (space.n,)) ** 2), assumed
+def _source(
+    name: str, section: ChannelSection, model: mujoco.MjModel, names: Sequence[str]
+) -> tuple[Source, str]:
+    """What the channel reads, and its type."""
+    where = f"channels.{name}"
+    given = [key for key in ("of", "function", "add") if getattr(section, key) is not None]
+    if len(given) > 1:
+        raise ScenarioError(f"{where} has {' and '.join(given)}; give one of them")
+    if section.unit is not None and section.function is None:
+        raise ScenarioError(f"{where}.unit is for a function; a sensor has its own")
+    if section.function is not None:
+        return _function(name, section.function, section.unit or "1", model), "function"
+    if section.of is None:
+        index = names.index(name)
+        return Source.of_sensors(model, index), layout.sensor_type(model, index)
+    for member in section.of:
+        if member not in names:
+            raise ScenarioError(f"{where}.of: no sensor '{member}'{did_you_mean(member, names)}")
+    if len(set(section.of)) < max(1, len(section.of)):
+        raise ScenarioError(f"{where}.of is {section.of}; name each of its sensors once")
+    indices = [names.index(member) for member in section.of]
+    kinds = " + ".join(layout.sensor_type(model, i) for i in indices)
+    return Source.of_sensors(model, *indices), kinds
+
+
+def _function(name: str, target: str, unit: str, model: mujoco.MjModel) -> Source:
+    """A user's function of the state; how many numbers it returns is found by calling it."""
+    where = f"channels.{name}.function"
+    called = cast(StateFunction, users.function(target, where))
+    x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+    x, u = np.tile(x, (2, 1)), np.zeros((2, model.nu))
+    try:
+        width = np.shape(called(x, u, 0.0))[-1]
+    except Exception as error:  # a user's function may raise anything
+        raise ScenarioError(
+            f"{where} raised {type(error).__name__} for x of shape {x.shape}: {error}; it is "
+            "called as h(x, u, t) and returns (..., m)"
+        ) from None
+    suffixes = layout.suffixes(width)
+    space = Manifold(tuple(name + s for s in suffixes), (unit,) * width)
+    source = Source(space, function=called, name=where)
+    source.call(x, u, 0.0)
+    source.call(np.tile(x, (3, 1, 1)), u[:1].repeat(3, axis=0), 0.0)
+    return source
+
+
+def _per_axis(model: mujoco.MjModel, source: Source, values: Array, default: float = 0.0) -> Array:
+    """A number a sensor `(nsensor,)` as one a tangent coordinate of the source `(m,)`."""
+    if not source.sensors:
+        return np.full(source.space.n, default)
+    widths = [layout.sensor_space(model, [i]).n for i in source.sensors]
+    return np.repeat(values[list(source.sensors)], widths)
 
 
 def _timing(
@@ -167,76 +236,29 @@ def _timing(
     where: str,
     timestep: float,
     frame_skip: int,
-    native: tuple[float, float, float],
+    native: Sequence[Native],
 ) -> Timing:
-    """From the scenario, else from the MJCF's own (period, phase, delay)."""
-    period, phase, delay = native
+    """From the scenario, else from the MJCF."""
+    if len(set(native)) > 1 and (section.rate is None or section.latency is None):
+        raise ScenarioError(
+            f"{where}.of: the MJCF gives its sensors different interval, delay or nsample; give "
+            f"{where}.rate and {where}.latency"
+        )
+    timing = (native[0] if native else Native()).timing(timestep, frame_skip)
     if section.rate is not None:
-        ticks = whole_steps(1.0 / section.rate, timestep, f"{where}: 1/rate")
-    elif period > 0:
-        ticks = max(1, round(period / timestep))
-    else:
-        ticks = frame_skip
-    first = phase if section.phase is None else section.phase
-    # MuJoCo rounds a phase up: a sample is computed at the first step that is not earlier.
-    first_tick = int(np.ceil(first / timestep - 1e-9))
-    latency = delay if section.latency is None else section.latency
+        period = whole_steps(1.0 / section.rate, timestep, f"{where}: 1/rate")
+        timing = replace(timing, period=period, phase=0, uneven=None, slots=0)
+    if section.phase is not None:
+        # As MuJoCo does: a reading is taken at the first step that is not earlier.
+        phase = int(np.ceil(section.phase / timestep - 1e-9))
+        uneven = (float(max(phase, 1)), timing.uneven[1]) if timing.uneven else None
+        timing = replace(timing, phase=phase, uneven=uneven)
+    if section.latency is not None:
+        timing = replace(timing, latency=section.latency / timestep, slots=0)
     jitter = int(section.jitter / timestep + 1e-9)
     if section.jitter and not jitter:
         raise ScenarioError(
             f"{where}.jitter is {section.jitter:g} s, less than the timestep {timestep:g} s: "
             "a sampling time is a whole count of physics steps; use a smaller model.timestep"
         )
-    return Timing(
-        ticks, first_tick, jitter, latency / timestep, section.latency_std / timestep, timestep
-    )
-
-
-def _imperfections(
-    section: ChannelSection, where: str, space: Manifold, cutoff: float
-) -> Imperfections | None:
-    """The section's imperfections, or None when there is none but white noise."""
-
-    def axes(name: str) -> Array:
-        value = np.atleast_1d(np.asarray(getattr(section, name), dtype=np.float64))
-        if len(value) not in (1, space.n):
-            raise DimensionError(f"{where}.{name} has {len(value)} values; expected 1 or {space.n}")
-        return np.broadcast_to(value, (space.n,)).copy()
-
-    if section.misalignment and space.n != 3:
-        raise ScenarioError(f"{where}.misalignment needs a three-axis sensor; this has {space.n}")
-    drift, step = axes("drift"), axes("quantization")
-    if section.bias_instability is not None:
-        drift = np.full(space.n, section.bias_instability * ALLAN_FLOOR / ALLAN_PEAK)
-    if section.counts_per_revolution is not None:
-        if space.units[0] != "rad":
-            raise ScenarioError(
-                f"{where}.counts_per_revolution is for angles, not {space.units[0]}"
-            )
-        step = np.full(space.n, 2 * np.pi / section.counts_per_revolution)
-    limit = section.cutoff or (cutoff if cutoff > 0 else np.inf)
-    part = Imperfections(
-        bias=axes("bias"),
-        walk=axes("bias_walk"),
-        drift=drift,
-        drift_time=section.drift_time,
-        scale_factor=axes("scale_factor"),
-        misalignment=section.misalignment,
-        quantization=step,
-        cutoff=np.full(space.n, limit),
-        deadband=axes("deadband"),
-        outlier_probability=section.outlier_probability,
-        outlier_scale=section.outlier_scale,
-        student_dof=section.student_dof or 0.0,
-        dropout=section.dropout,
-        dropout_length=section.dropout_length,
-        stuck=section.stuck,
-        stuck_length=section.stuck_length,
-    )
-    if not space.flat:
-        for name in ("scale_factor", "misalignment", "quantization", "cutoff", "deadband"):
-            if np.any(getattr(section, name)):
-                raise ScenarioError(f"{where}.{name} has no meaning for a quaternion; remove it")
-    ideal = not (part.normals(1) or part.uniforms() or part.constants(1))
-    transfer = np.isfinite(limit) or part.quantization.any() or part.deadband.any()
-    return None if ideal and not transfer else part
+    return replace(timing, jitter=jitter, latency_std=section.latency_std / timestep)

@@ -3,12 +3,14 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import controllers, sensors, timing
+from estbench import controllers, schedules, sensors, starting, timing
+from estbench import scenario as scenarios
 from estbench.errors import (
     CovarianceError,
     DimensionError,
@@ -17,6 +19,7 @@ from estbench.errors import (
     did_you_mean,
 )
 from estbench.estimators import registry
+from estbench.estimators.adaptive import AdaptiveEKF
 from estbench.estimators.base import Estimator
 from estbench.filtering import Delays
 from estbench.linalg import is_positive_definite
@@ -25,6 +28,7 @@ from estbench.models import layout, mjcf
 from estbench.models.differences import Differences
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
+from estbench.models.reading import Source
 from estbench.naming import expand
 from estbench.records import RESERVED
 from estbench.scenario import (
@@ -33,10 +37,11 @@ from estbench.scenario import (
     InitialSection,
     ProcessNoiseSection,
     Scenario,
+    StartSection,
 )
-from estbench.schedules import Schedule
 from estbench.sensors import Channel
-from estbench.timing import Instant
+from estbench.smoothers.estimators import MAP
+from estbench.timing import Instant, Native
 from estbench.truth import Simulator
 
 Array = NDArray[np.float64]
@@ -99,10 +104,30 @@ class Setup:
         return {c.name: c.space for c in self.channels}
 
     def estimator(self, label: str) -> Estimator:
-        """The estimator of that label on a fresh model."""
-        settings = dict(self.scenario.estimators[label])
-        settings.pop("delays", None)
-        return registry.create(label, settings, self.model())
+        """The estimator of that label on a fresh model, started as the scenario says."""
+        model, start = self.model(), self.start(label)
+        made = registry.create(label, self.settings(label), model)
+        if start.method == "prior":
+            return made
+        return starting.WarmStart(made, model, start.window, start.method)
+
+    def settings(self, label: str) -> dict[str, Any]:
+        """The estimator's own settings, without those of the event loop."""
+        settings = self.scenario.estimators[label]
+        return {k: v for k, v in settings.items() if k not in ("delays", "start")}
+
+    def start(self, label: str) -> StartSection:
+        """How the estimator of that label starts."""
+        return scenarios.start(self.scenario, label)
+
+    def prior(self, label: str) -> tuple[Array, Array]:
+        """x̂₀ `(nx,)` and P₀ `(n, n)` that the estimator of that label is given."""
+        start, nq, nv = self.start(label), self.plant.model.nq, self.plant.model.nv
+        mean, cov = starting.displaced(self.space, self.mean, self.cov, start.offset, start.inflate)
+        if start.method == "static":
+            speeds = slice(nq, nq + nv), slice(nv, 2 * nv)
+            mean, cov = starting.at_rest(mean, cov, *speeds, start.rest_std)
+        return mean, cov
 
     def delays(self, label: str) -> Delays:
         """What the estimator of that label does about late readings."""
@@ -115,7 +140,8 @@ class Setup:
             for name, channel in section.channels.items()
             if channel.latency is not None
         }
-        return Delays(handling, self.window, believed)
+        nominal = frozenset(n for n, c in section.channels.items() if c.timestamps == "due")
+        return Delays(handling, self.window, believed, nominal)
 
     @property
     def window(self) -> int:
@@ -137,7 +163,7 @@ class Setup:
             self.channels,
             self.instants,
             self.disturbance,
-            (self.mean, np.linalg.cholesky(self.cov)),
+            (self.mean, np.asarray(np.linalg.cholesky(self.cov), np.float64)),
             self.scenario.truth.draw,
             self.scenario.simulation.seed,
             runs,
@@ -197,7 +223,10 @@ def build(scenario: Scenario) -> Setup:
         section.frame_skip,
         duration,
         _native_timing(spec, truth),
+        belief.channels,
     )
+    # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
+    truth.sensor_cutoff[np.isfinite(sensors.native_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
     mean, cov = _initial(scenario.initial, truth, space, x0)
     instants = timing.instants(
@@ -232,7 +261,8 @@ def build(scenario: Scenario) -> Setup:
                 f"estimators: the label '{label}' cannot name a group of results; use letters, "
                 f"digits, '.', '-', '+' or '_', but not {', '.join(sorted(RESERVED))}"
             )
-        setup.estimator(label)
+        _check_lengths(setup, label, setup.estimator(label))
+        setup.prior(label)
         setup.delays(label)
     _check_window(setup)
     for key in scenario.truth.draw:
@@ -262,7 +292,8 @@ def _disturbance(
             where = what.get(section.kind, "every control, (unit)² s")
             notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {where}")
     disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
-    schedule = Schedule.build(section.schedule, duration, "process_noise.schedule")
+    axes, where = len(disturbance.density), "process_noise.schedule"
+    schedule = schedules.build(section.schedule, axes, duration, where)
     if schedule is not None:
         disturbance = replace(disturbance, schedule=schedule.at)
     if not disturbance.rank:
@@ -330,32 +361,36 @@ def _initial(
 def _believed_channels(
     model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection
 ) -> tuple[SensorChannel, ...]:
-    """The channels as the filter believes them, found by name in the filter's model."""
+    """The channels as the filter believes them, their sensors found by name in its model."""
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
     known = [c.name for c in channels]
     for name in section.channels:
         if name not in known:
             raise ScenarioError(f"filter.channels: no channel '{name}'{did_you_mean(name, known)}")
-    missing = [name for name in known if name not in names]
-    if missing:
-        raise ScenarioError(f"filter.path: the filter's model has no sensor {', '.join(missing)}")
     out = []
     for channel in channels:
         belief = section.channels.get(channel.name, BelievedChannelSection())
         R = section.measurement_noise_scale * sensors.believed_covariance(channel, belief)
         follow = channel.schedule is not None and belief.follow_schedule
         scale = channel.schedule.at if channel.schedule is not None and follow else None
-        out.append(SensorChannel(channel.name, names.index(channel.name), R, scale))
+        source = channel.source
+        if not source.function:
+            missing = [name for name in channel.sensors if name not in names]
+            if missing:
+                raise ScenarioError(
+                    f"filter.path: the filter's model has no sensor {', '.join(missing)}"
+                )
+            source = Source.of_sensors(model, *(names.index(name) for name in channel.sensors))
+        out.append(SensorChannel(channel.name, -1, R, scale, source))
     return tuple(out)
 
 
-def _native_timing(
-    spec: mujoco.MjSpec, model: mujoco.MjModel
-) -> dict[str, tuple[float, float, float]]:
-    """Sensor -> the MJCF's (period, phase, delay), s; MuJoCo ignores them unless nsample > 0."""
+def _native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Native]:
+    """Sensor -> its rhythm by the MJCF, for the sensors that have a history."""
     return {
-        layout.sensor_name(model, i): (
+        layout.sensor_name(model, i): Native(
             float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
+            int(sensor.nsample),
         )
         for i, sensor in enumerate(spec.sensors)
         if sensor.nsample > 0
@@ -363,13 +398,36 @@ def _native_timing(
 
 
 def _check_window(setup: Setup) -> None:
-    """Refuse a fixed latency that exact handling could never go back to."""
+    """Refuse a latency that exact handling could never go back to."""
     section, timestep = setup.scenario.filter, float(setup.plant.model.opt.timestep)
+    if section.window is None:
+        return
     exact = any(setup.delays(label).handling == "exact" for label in setup.scenario.estimators)
     for channel in setup.channels:
-        latency = channel.timing.latency + 2 * channel.timing.jitter
-        if exact and section.window is not None and latency > setup.window:
+        belief = section.channels.get(channel.name, BelievedChannelSection())
+        late = channel.timing.latency * timestep if belief.latency is None else belief.latency
+        if exact and late > setup.window * timestep + 1e-9:
             raise ScenarioError(
-                f"filter.window is {section.window:g} s but channel '{channel.name}' is "
-                f"{latency * timestep:g} s late: it would never be fused; raise the window"
+                f"filter.window is {section.window:g} s but channel '{channel.name}' is {late:g} s "
+                "late: it would never be fused; raise the window"
             )
+
+
+def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
+    """Refuse windows that are longer than the run."""
+    end, arrivals = setup.instants[-1].end, sum(bool(i.channels) for i in setup.instants)
+    start = setup.start(label)
+    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
+    if start.method != "prior" and start.window >= end:
+        raise EstimatorError(
+            f"{label}: start.window is {start.window:g} s but the run only {end:g} s; shorten it"
+        )
+    if isinstance(inner, MAP) and inner.window is not None and inner.window > end + 1e-9:
+        raise EstimatorError(
+            f"{label}: window is {inner.window:g} s but the run only {end:g} s; shorten it, or "
+            "leave it out for the whole run"
+        )
+    if isinstance(inner, AdaptiveEKF) and inner.window > arrivals:
+        raise EstimatorError(
+            f"{label}: window is {inner.window} arrivals but the run has {arrivals}; shorten it"
+        )

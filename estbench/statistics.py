@@ -6,7 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.consistency import Interval, Verdict, judge, mean_interval
+from estbench.analysis.intervals import wilson
+from estbench.consistency import (
+    Interval,
+    Verdict,
+    judge,
+    mean_interval,
+    positive_mean_interval,
+)
 from estbench.estimators.base import Fault
 from estbench.records import Record
 from estbench.scenario import ConsistencySection
@@ -38,6 +45,7 @@ class Summary:
         anis: the same for NIS/m.
         lag_one: lag-one correlation of the whitened innovations; 0 for a consistent filter.
         diverged: share of runs.
+        diverged_interval: the share with its Wilson interval.
         rmse: per coordinate, in its unit, with an interval across runs.
         rmse_median: median over runs of their RMSE `(n,)`.
         std: root of the mean variance the filter reports `(n,)`.
@@ -53,6 +61,7 @@ class Summary:
     anis: Interval
     lag_one: Interval
     diverged: float
+    diverged_interval: Interval
     rmse: tuple[Interval, ...]
     rmse_median: Array
     std: Array
@@ -75,10 +84,10 @@ def summarize(
     good = ~record["diverged"].astype(bool)
     share = float(np.mean(~good))
     level = section.level
-    anees = mean_interval(record["anees"][good], level)
+    anees = positive_mean_interval(record["anees"][good], level)
     failed = np.flatnonzero(record["fault"])
     with np.errstate(invalid="ignore"):
-        mse = [mean_interval(column, level) for column in record["mse"][good].T]
+        mse = [positive_mean_interval(column, level) for column in record["mse"][good].T]
         every = np.where(np.isfinite(record["mse"]), record["mse"], np.inf)
     return Summary(
         label=label,
@@ -88,9 +97,10 @@ def summarize(
         anees_median=float(
             np.median(np.where(np.isfinite(record["anees"]), record["anees"], np.inf))
         ),
-        anis=mean_interval(record["anis"][good], level),
+        anis=positive_mean_interval(record["anis"][good], level),
         lag_one=mean_interval(record["lag_one"][good], level),
         diverged=share,
+        diverged_interval=wilson(int((~good).sum()), len(good), level),
         rmse=tuple(
             Interval(np.sqrt(i.value), np.sqrt(max(i.low, 0.0)), np.sqrt(max(i.high, 0.0)))
             for i in mse
@@ -104,6 +114,6 @@ def summarize(
             Failure(
                 int(runs[i]), float(times[record["fault_step"][i]]), Fault(record["fault"][i]).text
             )
-            for i in failed
+            for i in failed.tolist()
         ),
     )

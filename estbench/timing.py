@@ -2,8 +2,8 @@
 
 Times are counted in physics steps (ticks); every instant is one. A channel is due at
 phase, phase + period, ... (the first after t = 0; without a phase at its first period, as P₀ says
-what is known before). With jitter a run's reading is taken some ticks off; with latency it arrives
-some ticks later, at the first instant that is not earlier.
+what is known before). With jitter a run's reading is taken some ticks off. It arrives at once, or
+with latency some ticks later, at the first instant that is not earlier.
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,39 @@ from estbench import streams
 from estbench.errors import ScenarioError
 
 Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Native:
+    """A sensor's rhythm as its MJCF says it, in s; a sensor without a history has none.
+
+    Attributes:
+        period: `interval`'s first number; 0 for every physics step.
+        phase: its second, in (-period, 0]: readings are due at phase + period, ....
+        delay: `delay`, read from the history without interpolation.
+        nsample: readings that the history holds; MuJoCo ignores the rest unless it is positive.
+    """
+
+    period: float = 0.0
+    phase: float = 0.0
+    delay: float = 0.0
+    nsample: int = 0
+
+    def timing(self, timestep: float, default: int) -> "Timing":
+        """The rhythm in physics steps; `default` steps between readings where it has no period."""
+        delay = self.delay / timestep if self.nsample else 0.0
+        if not self.nsample or self.period <= 0:
+            # Without a period the history holds a reading a physics step.
+            return Timing(default, latency=min(delay, float(self.nsample)), timestep=timestep)
+        interval = max(1.0, self.period / timestep)
+        first = max(1.0, (self.phase + self.period) / timestep)
+        slots = self.nsample if delay > 0 else 0
+        even = all(abs(value - round(value)) < 1e-6 for value in (first, interval))
+        return Timing(
+            round(interval) if even else int(interval), round(first) if even else 0,
+            latency=delay, timestep=timestep, uneven=None if even else (first, interval),
+            slots=slots,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -49,6 +82,10 @@ class Timing:
         latency: mean time from sampling to arrival.
         latency_std: its standard deviation.
         timestep: s a tick.
+        uneven: first reading and interval where they are no whole counts of ticks; a reading is
+            then taken at the first tick that is not earlier.
+        slots: readings that a MuJoCo history holds: one is pushed out, and so arrives, a tick after
+            the last of them was taken; 0 for no limit.
     """
 
     period: int
@@ -57,11 +94,13 @@ class Timing:
     latency: float = 0.0
     latency_std: float = 0.0
     timestep: float = 1.0
+    uneven: tuple[float, float] | None = None
+    slots: int = 0
 
     @property
     def punctual(self) -> bool:
-        """Whether every reading is taken and arrives when it is due."""
-        return not (self.jitter or self.latency or self.latency_std)
+        """Whether every reading is taken in an even rhythm and arrives at once."""
+        return not (self.jitter or self.latency or self.latency_std or self.uneven)
 
     @property
     def longest(self) -> int:
@@ -70,7 +109,12 @@ class Timing:
 
     def due(self, ticks: int) -> Ints:
         """Ticks `(reading,)` at which readings are due up to `ticks`."""
-        return np.arange(self.phase or self.period, ticks + 1, self.period)
+        if self.uneven is None:
+            return np.arange(self.phase or self.period, ticks + 1, self.period)
+        first, interval = self.uneven
+        count = max(0, int((ticks - first) / interval) + 1)
+        due = np.ceil(first + interval * np.arange(count) - 1e-6).astype(np.int64)
+        return due[due <= ticks]
 
     def sampled(self, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
         """Ticks `(reading, run)` at which each run's readings are taken."""
@@ -81,17 +125,20 @@ class Timing:
         off = np.floor(z * (2 * self.jitter + 1)).astype(np.int64) - self.jitter
         return np.clip(due + off, 1, None)
 
-    def arrived(self, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
-        """Ticks `(reading, run)` at which the readings arrive; a latency is never negative.
+    def arrived(self, sampled: Ints, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
+        """Ticks `(reading, run)` at which readings arrive that were sampled so.
 
-        A channel with jitter reports in fixed slots, when its latest sampling time has passed.
+        A random latency is a normal number, but never negative.
         """
-        slot = (self.due(ticks) + self.jitter)[:, None] + np.zeros(len(runs), np.int64)
-        late = np.full(slot.shape, self.latency)
+        late = np.full(sampled.shape, self.latency)
         if self.latency_std:
-            z = streams.normals(seed, runs, f"sensor:{name}:latency", len(slot), 1)[..., 0]
+            z = streams.normals(seed, runs, f"sensor:{name}:latency", len(sampled), 1)[..., 0]
             late = np.maximum(late + self.latency_std * z, 0.0)
-        return slot + np.ceil(late - 1e-6).astype(np.int64)
+        out = sampled + np.ceil(late - 1e-6).astype(np.int64)
+        if self.slots:
+            following = self.due(ticks + self.slots * (self.period + 1))[self.slots - 1 :] + 1
+            out = np.minimum(out, following[: len(out), None])
+        return out
 
 
 def instants(

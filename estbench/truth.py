@@ -1,4 +1,4 @@
-"""Truth trajectories: the robot as it is, under its controller and its disturbance, and its sensors.
+"""Truth trajectories: the robot as it is, its controller, its disturbance and its sensors.
 
 Arrays are time-major `(instant, run, ...)`: the event loop works on one instant of all runs.
 """
@@ -15,7 +15,7 @@ from estbench.controllers import Controller
 from estbench.manifold import Manifold
 from estbench.models import mjcf
 from estbench.models.disturbance import Disturbance
-from estbench.models.mujoco import needed_stage
+from estbench.models.reading import Plan
 from estbench.models.rows import Rows
 from estbench.readings import Delivery, Readings
 from estbench.scenario import Draw
@@ -78,7 +78,7 @@ class Simulator:
         self.x0 = space.plus(mean, streams.normals(seed, runs, "initial", 1, space.n)[0] @ factor.T)
         self._process = streams.normals(seed, runs, "process", len(instants), disturbance.rank)
         self._readings = [Readings(c, instants, seed, runs) for c in channels]
-        self._plans: dict[tuple[str, ...], tuple[NDArray[np.intp], int]] = {}
+        self._plans: dict[tuple[str, ...], Plan] = {}
         for key, draw in draws.items():
             self._draw(key, draw, seed, runs)
 
@@ -107,10 +107,8 @@ class Simulator:
         """Noise-free readings `(run, ny)` of some channels, one after the other."""
         key = tuple(c.name for c in channels)
         if key not in self._plans:
-            columns = np.concatenate([c.columns for c in channels])
-            self._plans[key] = (columns, needed_stage(self._model, [c.index for c in channels]))
-        columns, stage = self._plans[key]
-        return self._rows.read(x, u, t, stage, columns)
+            self._plans[key] = Plan(self._model, [c.source for c in channels])
+        return self._plans[key].read(self._rows, x, u, t)
 
     def _observe(self, k: int, t: float, x: Array, u: Array) -> list[Delivery]:
         """Take the readings that are due, and hand out those that arrive."""

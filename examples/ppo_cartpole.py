@@ -36,7 +36,7 @@ def evaluate(model: PPO, training: VecNormalize, observe: str, episodes: int = 1
     score = mean_interval(total)
     upright = np.mean(steps == steps.max()) if steps.max() >= 500 else 0.0
     return (
-        f"return {score.value:6.1f} ± {score.high - score.value:4.1f}, "
+        f"return {score.value:6.1f} ± {0.5 * (score.high - score.low):4.1f}, "
         f"{steps.mean():5.1f} of 500 steps, {upright:4.0%} upright to the end"
     )
 

@@ -93,7 +93,7 @@ def test_run_prints_tables_and_writes_a_folder(call, folder):
 
 
 def test_run_as_json_says_what_python_gets(call):
-    arguments = ("--seed", "3", "--keep", "summary", "--threads", "1", "--out", "here", "--json")
+    arguments = ("--seed", "3", "--keep", "summary", "--workers", "1", "--out", "here", "--json")
     code, out, err = call("run", "cartpole", *SHORT, *arguments)
     assert (code, err) == (0, "")
     data = json.loads(out)
@@ -209,7 +209,7 @@ def test_ctrl_c_in_the_middle(folder, monkeypatch, capfd):
     assert "interrupted: 15 of 60 runs finished" in out
     assert err == ""
     with estbench.open_results("x") as tree:
-        assert tree["done"].sum() == 15
+        assert 15 <= int(tree["done"].sum()) < 60  # others may have finished meanwhile
 
 
 # What does not: one line that says what, exit code 2, nothing left behind
@@ -335,7 +335,7 @@ BAD = {
     # the words of typer
     "runs x": (("run", "cartpole", "--runs", "x"), "Invalid value for '--runs'.* see estbench run"),
     "no number": (("run", "cartpole", "--runs"), "--runs.* requires an argument"),
-    "threads": (("run", "cartpole", "--threads", "0"), "Invalid value for '--threads'"),
+    "workers": (("run", "cartpole", "--workers", "0"), "Invalid value for '--workers'"),
     "keep": (("run", "cartpole", "--keep", "all"), "Invalid value for '--keep'.*'summary'"),
     "no argument": (("run",), "Missing argument .*; see estbench run --help"),
     "too many": (("run", "cartpole", "pendulum"), "unexpected extra argument"),
@@ -408,8 +408,8 @@ def test_a_reader_that_has_gone(folder):
 
 def test_ctrl_c(folder):
     process = start("run", "cartpole", "-e", "ekf", "--runs", "100000", "--duration", "0.2",
-                    "--out", "x", "--keep", "summary", "--threads", "1")  # fmt: skip
-    done = folder / "x" / "data.zarr" / "done" / "c" / "0"
+                    "--out", "x", "--keep", "summary", "--workers", "1")  # fmt: skip
+    done = folder / "x" / "data.zarr" / "done" / "c" / "3"  # the fourth batch
     deadline = time.monotonic() + 60
     while not done.exists() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -418,7 +418,7 @@ def test_ctrl_c(folder):
     assert (process.returncode, err) == (130, "")
     assert "interrupted" in out
     with estbench.open_results("x") as tree:
-        count = int(tree["done"].sum())
-        assert 0 < count < 100_000
-        assert f"{count} of 100000 runs finished" in out
-        assert np.isfinite(tree["ekf"]["anees"].to_numpy()[tree["done"].to_numpy()]).all()
+        done = tree["done"].to_numpy()
+        said = int(re.search(r"(\d+) of 100000 runs finished", out)[1])
+        assert 0 < said <= done.sum() < 100_000
+        assert np.isfinite(tree["ekf"]["anees"].to_numpy()[done]).all()

@@ -135,7 +135,7 @@ def test_merged_batches_are_one_batch():
     one = reduce(whole)
     runs = [[0, 1, 2, 3], [4, 5]]
     merged = records.merge([reduce(part(whole, r)) for r in runs])
-    assert set(merged) == set(records.SUMMARY)
+    assert set(merged) == set(records.SUMMARY | records.COST)
     for name, field in records.SUMMARY.items():
         if field.dims[0] == "run":
             np.testing.assert_allclose(merged[name], one[name], rtol=1e-12, err_msg=name)

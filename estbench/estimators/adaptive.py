@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError
 from estbench.estimators.base import Gaussian, Innovation, correct, marked
 from estbench.estimators.ekf import EKF
-from estbench.estimators.enkf import whole
 from estbench.estimators.kf import linear_update
-from estbench.estimators.settings import in_range, one_of
+from estbench.estimators.settings import in_range, one_of, whole
 from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.models.base import Channels
 from estbench.naming import expand
@@ -107,7 +106,7 @@ class AdaptiveEKF(EKF):
         else:
             Q = np.asarray(self.model.process_noise(prior.mean, u, t, dt))
             density = np.broadcast_to(Q / dt, prior.cov.shape)
-        cov = self.fading**2 * (F @ prior.cov @ np.swapaxes(F, -1, -2))
+        cov = self.fading**2 * (F @ prior.cov @ F.mT)
         cov = symmetrize(cov + (density + np.diag(self._pseudo)) * dt)
         cov = cov * (self._upsilon[:, None] * self._upsilon)
         elapsed = prior.elapsed + dt
@@ -133,7 +132,7 @@ class AdaptiveEKF(EKF):
         columns = [everything.index(name) for name in output.names]
         R = self._adapted(R, prior.variance[:, columns])
         present = np.ones(shape[:2], bool) if mask is None else mask
-        PHt = prior.cov @ np.swapaxes(H, -1, -2)
+        PHt = prior.cov @ H.mT
         c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
         posterior, innovation = linear_update(space, prior, residual, H, R, mask)
         if self.adapt in ("R", "both"):
@@ -176,5 +175,5 @@ def _psd(matrices: Array) -> Array:
     out = matrices.copy()
     values, vectors = np.linalg.eigh(symmetrize(matrices[good]))
     clipped = vectors * np.clip(values, 0.0, None)[:, None]
-    out[good] = clipped @ np.swapaxes(vectors, -1, -2)
+    out[good] = clipped @ vectors.mT
     return out

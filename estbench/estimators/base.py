@@ -1,7 +1,9 @@
 """Beliefs, the estimator protocol, and the measurement update that every Gaussian filter shares."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -106,6 +108,42 @@ class Estimator(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What arrived at one instant: y `(run, ny)` under u `(run, nu)`, as in `update`."""
+
+    y: Array
+    u: Array
+    channels: Channels = None
+    mask: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """A filter's whole way through some runs, for a smoother to look back on.
+
+    Attributes:
+        beliefs: K + 1, the first at the start, the others after the updates.
+        controls: K, each `(run, nu)`, held from one time to the next.
+        times: K + 1, in s.
+        measurements: K + 1 lists of what was fused at each time; the first is empty.
+    """
+
+    beliefs: list[Any]
+    controls: list[Array]
+    times: list[float]
+    measurements: list[list[Measurement]]
+
+
+@runtime_checkable
+class Smoother(Estimator, Protocol):
+    """An estimator that also looks back; its smoothed beliefs are the ones that are judged."""
+
+    def smooth(self, passage: Passage) -> Sequence[Any]:
+        """K + 1 beliefs, each given all measurements (or those of a window)."""
+        ...
+
+
 class GaussianEstimator:
     """Shared by the estimators whose belief is a `Gaussian`: init, mean and cov."""
 
@@ -133,16 +171,21 @@ class Correction:
     Attributes:
         delta: K ν `(run, n)`.
         reduction: K S Kᵀ `(run, n, n)`, what the update takes from P.
-        gain: K `(run, n, m)`.
         innovation: ν, S and NIS.
         fault: `Fault.INNOVATION` where S has no Cholesky factor.
     """
 
     delta: Array
     reduction: Array
-    gain: Array
     innovation: Innovation
     fault: NDArray[np.uint8]
+    _lower: Array
+    _whitened: Array
+
+    @cached_property
+    def gain(self) -> Array:
+        """K = Wᵀ L⁻¹ `(run, n, m)`; made when asked for, as not every filter needs it."""
+        return solve_lower_transposed(self._lower, self._whitened).mT
 
 
 def correct(
@@ -170,16 +213,18 @@ def correct(
     else:
         dof = np.full(len(S), m)
     lower = cholesky(S)
-    joint = np.concatenate([np.swapaxes(cross, -1, -2), residual[..., None]], axis=-1)
+    joint = np.concatenate([cross.mT, residual[..., None]], axis=-1)
     joint = solve_lower(lower, joint)
     W, white = joint[..., :-1], joint[..., -1]
-    Wt = np.swapaxes(W, -1, -2)
+    Wt = W.mT
     delta = (Wt @ white[..., None])[..., 0]
-    gain = np.swapaxes(solve_lower_transposed(lower, W), -1, -2)
     nis = np.einsum("ij,ij->i", white, white)
-    fault = np.where(np.isfinite(lower[:, 0, 0]) | ~np.isfinite(S[:, 0, 0]), 0, Fault.INNOVATION)
+    fault = np.zeros(len(S), np.uint8)
+    if not np.isfinite(nis.sum()):
+        factored = np.isfinite(lower[:, 0, 0])
+        fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
     innovation = Innovation(residual, S, white, nis, dof)
-    return Correction(delta, Wt @ W, gain, innovation, fault.astype(np.uint8))
+    return Correction(delta, Wt @ W, innovation, fault, lower, W)
 
 
 def settle(space: Manifold, prior: Gaussian, delta: Array, cov: Array, fault: Any = 0) -> Gaussian:
@@ -191,10 +236,11 @@ def settle(space: Manifold, prior: Gaussian, delta: Array, cov: Array, fault: An
 
 def marked(belief: Gaussian, fault: Any = 0) -> Gaussian:
     """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
+    quick = belief.mean.sum() + belief.cov.sum()  # finite only if every number is
+    if np.isfinite(quick) and not np.any(fault) and not belief.fault.any():
+        return belief
     finite = np.isfinite(belief.mean).all(axis=-1) & np.isfinite(belief.cov).all(axis=(-2, -1))
     new = np.where(fault, fault, np.where(finite, Fault.NONE, Fault.STATE)).astype(np.uint8)
-    if not new.any() and not belief.fault.any():
-        return belief
     code = np.where(belief.fault, belief.fault, new)
     bad = code != Fault.NONE
     return replace(

@@ -69,7 +69,7 @@ class ContinuousDiscreteEKF(EKF):
             mean, Phi, Q = integrate_moments(self.model, belief.mean, u, t, dt, self.substeps)
         else:
             mean, Phi, Q = self._adaptive(belief.mean, u, t, dt)
-        cov = symmetrize(Phi @ belief.cov @ np.swapaxes(Phi, -1, -2) + Q)
+        cov = symmetrize(Phi @ belief.cov @ Phi.mT + Q)
         return marked(replace(belief, mean=mean, cov=cov))
 
     def _adaptive(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array, Array]:

@@ -44,7 +44,7 @@ class EKF(GaussianEstimator):
         """x̂⁻ = f(x̂⁺, u), P⁻ = Φ P⁺ Φᵀ + Q (Bishop, eq. 11)."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
-        cov = symmetrize(F @ belief.cov @ np.swapaxes(F, -1, -2) + Q)
+        cov = symmetrize(F @ belief.cov @ F.mT + Q)
         return marked(replace(belief, mean=mean, cov=cov))
 
     def update(
@@ -61,7 +61,7 @@ class EKF(GaussianEstimator):
         R = self.model.measurement_noise(t, channels)
         residual = self.model.output(channels).minus(y, predicted)
         P = belief.cov
-        PHt = P @ np.swapaxes(H, -1, -2)
+        PHt = P @ H.mT
         c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
         if self.covariance_update == "symmetric":
             cov = P - c.reduction
@@ -70,5 +70,5 @@ class EKF(GaussianEstimator):
             A = np.eye(P.shape[-1]) - c.gain @ H
             cov = A @ P
             if self.covariance_update == "joseph":
-                cov = cov @ np.swapaxes(A, -1, -2) + c.gain @ R @ np.swapaxes(c.gain, -1, -2)
+                cov = cov @ A.mT + c.gain @ R @ c.gain.mT
         return settle(self.model.space, belief, c.delta, symmetrize(cov), c.fault), c.innovation

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench import random
-from estbench.errors import DimensionError, EstimatorError
+from estbench.errors import DimensionError
 from estbench.estimators.base import Correction, Fault, Innovation, correct
-from estbench.estimators.settings import in_range, one_of
+from estbench.estimators.settings import in_range, one_of, whole
 from estbench.linalg import cholesky, solve_lower_transposed, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
@@ -99,7 +99,7 @@ class EnKF:
             noise = noise - noise.mean(axis=1, keepdims=True)
             noise *= np.sqrt(self.size / (self.size - 1))
             surprise = np.where(present[:, None], output.minus(y[:, None], images) + noise, 0.0)
-            move = surprise @ np.swapaxes(c.gain, -1, -2)
+            move = surprise @ c.gain.mT
         else:
             spread = np.where(present[:, None], spread, 0.0)
             move = c.delta[:, None] - spread @ _reduced_gain(c, R, present)
@@ -127,7 +127,7 @@ class EnKF:
 
     def _cross(self, a: Array, b: Array) -> Array:
         """Sample covariance `(run, n, m)` of deviations `(run, size, n)` and `(run, size, m)`."""
-        return np.swapaxes(a, -1, -2) @ b / (self.size - 1)
+        return a.mT @ b / (self.size - 1)
 
 
 def draw(
@@ -154,15 +154,6 @@ def diffuse(model: Model, belief: Any, mean: Array, u: Array, t: float, dt: floa
     Q = np.asarray(model.process_noise(mean, u, t, dt))
     noise = random.gaussian(belief.keys, belief.counter, PROCESS, Q, points.shape[1])
     return model.space.plus(points, noise)
-
-
-def whole(estimator: Any, setting: str, low: int) -> None:
-    """Raise unless the setting is an integer of at least `low`."""
-    value = getattr(estimator, setting)
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
-        raise EstimatorError(
-            f"{type(estimator).__name__}: {setting} is {value!r}; use an integer of at least {low}"
-        )
 
 
 def _reduced_gain(c: Correction, R: Array, present: NDArray[np.bool_]) -> Array:

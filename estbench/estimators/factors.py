@@ -28,7 +28,7 @@ class FactorBelief:
     @property
     def cov(self) -> Array:
         """P = L Lᵀ `(run, n, n)`."""
-        return self.factor @ np.swapaxes(self.factor, -1, -2)
+        return self.factor @ self.factor.mT
 
 
 class FactorEstimator:
@@ -81,9 +81,9 @@ def triangular(root: Array) -> Array:
 
     The diagonal is not negative, so L is the Cholesky factor where A Aᵀ is positive definite.
     """
-    upper = np.linalg.qr(np.swapaxes(root, -1, -2), mode="r")
+    upper = np.linalg.qr(root.mT, mode="r")
     sign = np.where(np.diagonal(upper, axis1=-2, axis2=-1) < 0, -1.0, 1.0)
-    return np.swapaxes(upper * sign[..., None], -1, -2)
+    return (upper * sign[..., None]).mT
 
 
 def psd_root(a: Array) -> Array:
@@ -116,7 +116,7 @@ def factor_innovation(
 ) -> Innovation:
     """ν, S, L⁻¹ ν and NIS from ν `(run, m)`, zero where nothing arrived, and a factor of S."""
     white = solve_lower(root, residual[..., None])[..., 0]
-    S = root @ np.swapaxes(root, -1, -2)
+    S = root @ root.mT
     dof = np.full(len(root), root.shape[-1])
     if mask is not None:
         # QR leaves rounding where the factor of the identity belongs.

@@ -68,7 +68,7 @@ class IEKF(EKF):
             if not space.flat:
                 H = H @ space.reset_jacobian(delta)
             residual = output.minus(y, predicted) + (H @ delta[..., None])[..., 0]
-            PHt = P @ np.swapaxes(H, -1, -2)
+            PHt = P @ H.mT
             c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
             innovation = innovation or c.innovation
             moved = np.abs(c.delta - delta)
@@ -89,5 +89,5 @@ class IEKF(EKF):
         A = np.eye(P.shape[-1]) - K @ H
         cov = A @ P
         if self.covariance_update == "joseph":
-            cov = cov @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2)
+            cov = cov @ A.mT + K @ R @ K.mT
         return cov

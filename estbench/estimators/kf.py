@@ -82,7 +82,7 @@ class KF(GaussianEstimator):
             model.space, model.space, belief.mean, point, image, belief.jacobians[key]
         )
         Q = model.process_noise(point, u, t, dt)
-        cov = symmetrize(F @ belief.cov @ np.swapaxes(F, -1, -2) + Q)
+        cov = symmetrize(F @ belief.cov @ F.mT + Q)
         return cast(FixedBelief, marked(replace(belief, mean=mean, cov=cov)))
 
     def update(
@@ -131,8 +131,8 @@ def tangent_map(
     outward = (slope @ inward[..., None])[..., 0]
     if not source.flat:
         transposed = np.swapaxes(source.reset_jacobian(inward), -1, -2)
-        solved = np.linalg.solve(transposed, np.swapaxes(slope, -1, -2))
-        slope = np.asarray(np.swapaxes(solved, -1, -2), np.float64)
+        solved = np.linalg.solve(transposed, slope.mT)
+        slope = np.asarray(solved.mT, np.float64)
     if not target.flat:
         slope = target.reset_jacobian(outward) @ slope
     return target.plus(image, outward), slope
@@ -148,10 +148,10 @@ def linear_update(
 ) -> tuple[Belief, Innovation]:
     """Condition on ν = H e + v: K = P Hᵀ S⁻¹ (Bishop, eq. 20), P⁺ in Joseph's form (eq. 19)."""
     P = belief.cov
-    PHt = P @ np.swapaxes(H, -1, -2)
+    PHt = P @ H.mT
     c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
     # A component that did not arrive has a zero column in K, so H and R need no mask.
     A = np.eye(P.shape[-1]) - c.gain @ H
-    cov = A @ P @ np.swapaxes(A, -1, -2) + c.gain @ R @ np.swapaxes(c.gain, -1, -2)
+    cov = A @ P @ A.mT + c.gain @ R @ c.gain.mT
     posterior = settle(space, belief, c.delta, symmetrize(cov), c.fault)
     return cast(Belief, posterior), c.innovation

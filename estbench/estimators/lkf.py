@@ -71,7 +71,7 @@ class LKF(GaussianEstimator):
         nominal, slope = model.transition_jacobian(belief.nominal, u, t, dt)
         mean, F = tangent_map(model.space, model.space, belief.mean, belief.nominal, nominal, slope)
         Q = model.process_noise(belief.nominal, u, t, dt)
-        cov = symmetrize(F @ belief.cov @ np.swapaxes(F, -1, -2) + Q)
+        cov = symmetrize(F @ belief.cov @ F.mT + Q)
         return cast(NominalBelief, marked(replace(belief, mean=mean, cov=cov, nominal=nominal)))
 
     def update(

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from estbench import random
 from estbench.estimators.base import Fault, Innovation, correct
-from estbench.estimators.enkf import Ensemble, diffuse, draw, whole
-from estbench.estimators.settings import in_range
+from estbench.estimators.enkf import Ensemble, diffuse, draw
+from estbench.estimators.settings import in_range, whole
 from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
@@ -89,12 +89,12 @@ class ParticleFilter:
         weights = _weights(belief)
         predicted = output.mean(images, weights)
         spread = output.minus(images, predicted[:, None])
-        S = symmetrize(np.swapaxes(spread * weights[..., None], -1, -2) @ spread + R)
+        S = symmetrize((spread * weights[..., None]).mT @ spread + R)
         c = correct(output.minus(y, predicted), S, np.zeros((len(y), 0, m)), mask)
         both = present[:, :, None] & present[:, None, :]
         lower = cholesky(np.where(both, R, np.eye(m)))
         residual = np.where(present[:, None], output.minus(y[:, None], images), 0.0)
-        white = solve_lower(lower, np.swapaxes(residual, -1, -2))
+        white = solve_lower(lower, residual.mT)
         gained = np.where(blind, -np.inf, -0.5 * (white**2).sum(axis=-2))
         arrived = np.any(present, axis=-1, keepdims=True)
         counter = belief.counter + arrived[:, 0].astype(np.uint64)

@@ -13,18 +13,33 @@ from estbench.estimators.base import Estimator
 from estbench.models.base import Model
 
 _BUILTIN = {
-    "ekf": "ekf:EKF",
-    "ukf": "ukf:UKF",
     "kf": "kf:KF",
     "lkf": "lkf:LKF",
+    "ekf": "ekf:EKF",
     "sr_ekf": "sr_ekf:SquareRootEKF",
     "iekf": "iekf:IEKF",
+    "cd_ekf": "cd_ekf:ContinuousDiscreteEKF",
+    "ukf": "ukf:UKF",
     "sr_ukf": "sr_ukf:SquareRootUKF",
     "ckf": "ckf:CKF",
     "ghkf": "ghkf:GHKF",
-    "cd_ekf": "cd_ekf:ContinuousDiscreteEKF",
+    "enkf": "enkf:EnKF",
+    "pf": "particle:ParticleFilter",
+    "imm": "imm:IMM",
+    "robust_ekf": "robust:RobustEKF",
+    "adaptive_ekf": "adaptive:AdaptiveEKF",
+    "schmidt_ekf": "schmidt:SchmidtEKF",
+    "bias_ekf": "biased:BiasEKF",
+    "bias_ukf": "biased:BiasUKF",
+    "converted_ekf": "converted:ConvertedEKF",
+    "filterpy_ekf": "adapters.filterpy:FilterPyEKF",
+    "filterpy_ukf": "adapters.filterpy:FilterPyUKF",
+    "stonesoup_ekf": "adapters.stonesoup:StoneSoupEKF",
+    "stonesoup_ukf": "adapters.stonesoup:StoneSoupUKF",
 }
+_SMOOTHERS = {"rts": "RTS", "urts": "URTS", "map": "MAP"}
 BUILTIN = {name: f"estbench.estimators.{target}" for name, target in _BUILTIN.items()}
+BUILTIN |= {name: f"estbench.smoothers.estimators:{target}" for name, target in _SMOOTHERS.items()}
 GROUP = "estbench.estimators"
 METHODS = ("init", "predict", "update", "mean", "cov")
 

@@ -9,9 +9,8 @@ from scipy.special import chdtri
 
 from estbench.estimators.base import Gaussian, Innovation, correct, marked
 from estbench.estimators.ekf import EKF
-from estbench.estimators.enkf import whole
 from estbench.estimators.kf import linear_update
-from estbench.estimators.settings import in_range, one_of
+from estbench.estimators.settings import in_range, one_of, whole
 from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.models.base import Channels
 
@@ -76,7 +75,7 @@ class RobustEKF(EKF):
             R = np.where(mask[:, :, None] & mask[:, None, :], R, np.eye(m))
             H = np.where(mask[..., None], H, 0.0)
             residual = np.where(mask, residual, 0.0)
-        PHt = belief.cov @ np.swapaxes(H, -1, -2)
+        PHt = belief.cov @ H.mT
         spread = symmetrize(H @ PHt)
         first = correct(residual, spread + R, PHt, mask)
         raw, belief = first.innovation, marked(belief, first.fault)
@@ -107,17 +106,17 @@ class RobustEKF(EKF):
             lower = cholesky(symmetrize(spread + enlarged))
             joint = np.concatenate([residual[..., None], enlarged], axis=-1)
             joint = solve_lower(lower, joint)
-            half = np.swapaxes(joint[..., 1:], -1, -2)  # R̃ L⁻ᵀ
+            half = joint[..., 1:].mT  # R̃ L⁻ᵀ
             left = (half @ joint[..., :1])[..., 0]
             white = solve_lower(root, left[..., None])[..., 0]
             if self.method == "huber":
                 size = np.abs(white)
                 scale = np.where(size > self.threshold, size / self.threshold, 1.0)
             else:
-                after = enlarged - half @ np.swapaxes(half, -1, -2)
+                after = enlarged - half @ half.mT
                 after = solve_lower(root, np.swapaxes(solve_lower(root, after), -1, -2))
                 square = (white**2).sum(axis=-1) + np.trace(after, axis1=-2, axis2=-1)
                 scale = ((self.degrees + square) / (self.degrees + dof))[:, None]
             factor = root * np.sqrt(scale)[:, None]
-            enlarged = factor @ np.swapaxes(factor, -1, -2)
+            enlarged = factor @ factor.mT
         return enlarged

@@ -59,10 +59,10 @@ class SchmidtEKF(EKF):
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
         R = self.model.measurement_noise(t, channels)
         residual = self.model.output(channels).minus(y, predicted)
-        PHt = belief.cov @ np.swapaxes(H, -1, -2)
+        PHt = belief.cov @ H.mT
         c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
         K = c.gain * self._estimated[:, None]
         A = np.eye(len(self._estimated)) - K @ H
-        cov = A @ belief.cov @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2)
+        cov = A @ belief.cov @ A.mT + K @ R @ K.mT
         delta = c.delta * self._estimated
         return settle(self.model.space, belief, delta, symmetrize(cov), c.fault), c.innovation

@@ -1,4 +1,4 @@
-"""Checks of estimator settings; each error names the estimator, the setting, the value, the remedy."""
+"""Checks of settings; an error names the estimator, the setting, the value and the remedy."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -42,4 +42,13 @@ def switch(estimator: Any, setting: str) -> None:
     if not isinstance(value, bool):
         raise EstimatorError(
             f"{type(estimator).__name__}: {setting} is {value!r}; use true or false"
+        )
+
+
+def whole(estimator: Any, setting: str, low: int) -> None:
+    """Raise unless the setting is an integer of at least `low`."""
+    value = getattr(estimator, setting)
+    if not isinstance(value, int) or isinstance(value, bool) or value < low:
+        raise EstimatorError(
+            f"{type(estimator).__name__}: {setting} is {value!r}; use an integer of at least {low}"
         )

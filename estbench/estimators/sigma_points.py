@@ -26,7 +26,7 @@ class SigmaPoints:
 
     def draw(self, space: Manifold, mean: Array, lower: Array) -> Array:
         """The points x̂ ⊞ L ξ `(run, point, nx)` for a factor L `(run, n, n)` of P."""
-        return space.plus(mean[:, None], self.points @ np.swapaxes(lower, -1, -2))
+        return space.plus(mean[:, None], self.points @ lower.mT)
 
     def moments(self, space: Manifold, values: Array) -> tuple[Array, Array, Array]:
         """Mean `(run, nx)`, residuals from it `(run, point, n)` and covariance `(run, n, n)`."""
@@ -36,7 +36,7 @@ class SigmaPoints:
 
     def cross(self, a: Array, b: Array) -> Array:
         """Σ wᵢ aᵢ bᵢᵀ `(run, n, m)` of residuals `(run, point, n)` and `(run, point, m)`."""
-        return np.swapaxes(a * self.cov_weights[:, None], -1, -2) @ b
+        return (a * self.cov_weights[:, None]).mT @ b
 
 
 def scaled(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> SigmaPoints:

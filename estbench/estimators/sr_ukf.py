@@ -95,9 +95,9 @@ class SquareRootUKF(FactorEstimator):
         root = noise_root(self.model.measurement_noise(t, channels), mask, len(y))
         root = self._factor(residuals, root)
         innovation = factor_innovation(residual, root, mask)
-        spread = self.rule.points @ np.swapaxes(belief.factor, -1, -2)
+        spread = self.rule.points @ belief.factor.mT
         cross = self.rule.cross(spread, residuals)
-        W = solve_lower(root, np.swapaxes(cross, -1, -2))  # (K S^½)ᵀ
+        W = solve_lower(root, cross.mT)  # (K S^½)ᵀ
         delta = (innovation.white[:, None] @ W)[:, 0]
         factor = belief.factor
         for component in range(W.shape[1]):

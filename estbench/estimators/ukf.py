@@ -1,4 +1,4 @@
-"""Unscented Kalman filter with additive noise (source 003, eq. 10-11; van der Merwe 2004, alg. 3.1)."""
+"""Unscented Kalman filter, additive noise (source 003, eq. 10-11; van der Merwe 2004, alg. 3.1)."""
 
 from dataclasses import dataclass, field, replace
 
@@ -82,7 +82,7 @@ class SigmaPointFilter(GaussianEstimator):
             lower = cholesky(belief.cov)
             fault = failed_factor(lower, belief.cov)
             points = self.rule.draw(space, belief.mean, lower)
-            spread = self.rule.points @ np.swapaxes(lower, -1, -2)
+            spread = self.rule.points @ lower.mT
         else:
             spread = space.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
@@ -127,6 +127,7 @@ class UKF(SigmaPointFilter):
         n = self.model.space.n
         if not n + self.kappa > 0:
             raise EstimatorError(
-                f"UKF: kappa is {self.kappa!r}; n + kappa must be positive, so use a value above {-n}"
+                f"UKF: kappa is {self.kappa!r}; n + kappa must be positive, so use a value above "
+                f"{-n}"
             )
         object.__setattr__(self, "rule", scaled(n, self.alpha, self.beta, self.kappa))

@@ -89,7 +89,7 @@ def moment_rates(
             block = slice(first, first + 3)
             F[..., block, block] -= rotation.skew(rate[..., block])
     half = F @ Q
-    driven = half + np.swapaxes(half, -1, -2) + model.spectral_density(point, u, t)
+    driven = half + half.mT + model.spectral_density(point, u, t)
     return chart_rate(space, delta, rate), F @ Phi, driven
 
 

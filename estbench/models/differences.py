@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -32,9 +33,7 @@ class Differences:
 
     def directions(self, n: int) -> Array:
         """Tangent perturbations `(point, n)`; the first is zero."""
-        step = self.step * np.eye(n)
-        parts = [np.zeros((1, n)), step] + ([-step] if self.scheme == "centered" else [])
-        return np.concatenate(parts)
+        return _directions(n, self.step, self.scheme)
 
     def slope(self, space: Manifold, values: Array) -> Array:
         """Jacobian `(run, m, n)` from values `(run, point, ny)` at the `directions`."""
@@ -42,7 +41,7 @@ class Differences:
         if self.scheme == "centered":
             n = change.shape[1] // 2
             change = 0.5 * (change[:, :n] - change[:, n:])
-        return np.swapaxes(change, -1, -2) / self.step
+        return change.mT / self.step
 
     def jacobian(
         self, function: Callable[[Array], Array], source: Manifold, target: Manifold, x: Array
@@ -50,3 +49,12 @@ class Differences:
         """Value `(run, ny)` and Jacobian `(run, m, n)` of a function of `(run, point, nx)` at x."""
         values = function(source.plus(x[:, None], self.directions(source.n)))
         return values[:, 0], self.slope(target, values)
+
+
+@lru_cache(maxsize=64)
+def _directions(n: int, step: float, scheme: str) -> Array:
+    axes = step * np.eye(n)
+    parts = [np.zeros((1, n)), axes] + ([-axes] if scheme == "centered" else [])
+    out = np.concatenate(parts)
+    out.flags.writeable = False  # it is shared
+    return out

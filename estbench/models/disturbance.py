@@ -38,13 +38,14 @@ class Disturbance:
         kind: where it enters.
         density: Q_s `(k, k)`, k = n, nv or nu by kind.
         factor: a square root of Q_s with only its nonzero columns `(k, rank)`.
-        schedule: factor on Q_s over time, taken at an interval's start; None for a constant.
+        schedule: factor on Q_s over time (one, or one a coordinate `(k,)`: Q_s then is D Q_s D
+            with D² the factors), taken at an interval's start; None for a constant.
     """
 
     kind: Kind
     density: Array
     factor: Array
-    schedule: Callable[[float], float] | None = None
+    schedule: Callable[[float], float | Array] | None = None
 
     @classmethod
     def build(
@@ -96,9 +97,14 @@ class Disturbance:
         """The disturbance with Q_s times `scale`."""
         return replace(self, density=scale * self.density, factor=np.sqrt(scale) * self.factor)
 
-    def at(self, t: float) -> float:
+    def at(self, t: float) -> float | Array:
         """The schedule's factor on Q_s at t."""
         return 1.0 if self.schedule is None else self.schedule(t)
+
+    def _density(self, t: float) -> Array:
+        """Q_s at t."""
+        size = np.sqrt(self.at(t))
+        return self.density * np.outer(size, size) if np.ndim(size) else self.density * size**2
 
     def sample(self, white: Array, t: float, dt: float) -> Array:
         """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
@@ -110,13 +116,13 @@ class Disturbance:
     ) -> Array:
         """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
         if self.kind == "additive":
-            return self.density * (self.at(t) * dt)
+            return self._density(t) * dt
         if not self.rank:
             return np.zeros((space.n, space.n))
         points, push, force = self._pushed(x, u, np.sqrt(self.at(t) / dt))
         ends = rows.step(points, push, t, nstep, force)
         response = space.minus(ends[:, 1:], ends[:, :1])
-        return np.swapaxes(response, -1, -2) @ response
+        return response.mT @ response
 
     def intensity(self, rows: Rows, space: Manifold, x: Array, u: Array, t: float) -> Array:
         """Q_s of the noise on ẋ, `(n, n)` or `(run, n, n)`, at x `(run, nx)`: G Q_s Gᵀ.
@@ -125,16 +131,16 @@ class Disturbance:
         ẋ is linear in it but for contacts and the gains of some actuators.
         """
         if self.kind == "additive":
-            return self.density * self.at(t)
+            return self._density(t)
         if not self.rank:
             return np.zeros((space.n, space.n))
         held = 1.0 / rows.model.opt.timestep
         points, push, force = self._pushed(x, u, np.sqrt(self.at(t) * held))
         rates = rows.flow(points, push, t, force)
         response = (rates[:, 1:] - rates[:, :1]) / np.sqrt(held)
-        return np.swapaxes(response, -1, -2) @ response
+        return response.mT @ response
 
-    def _pushed(self, x: Array, u: Array, size: float) -> tuple[Array, Array, Array | None]:
+    def _pushed(self, x: Array, u: Array, size: float | Array) -> tuple[Array, Array, Array | None]:
         """States, controls and forces of rows without and with each column of the factor."""
         columns = np.concatenate([np.zeros((1, len(self.factor))), self.factor.T * size])
         points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))

@@ -18,18 +18,21 @@ Function = Callable[..., Array]
 
 @dataclass(frozen=True, eq=False)
 class FunctionModel:
-    """x⁺ = f(x, u, t, dt) + w, y = h(x, u, t) + v in R^n (source 001, eq. 1-2).
+    """x⁺ = f(x, u, t, dt) + Ω w, y = h(x, u, t) + v in R^n (source 001, eq. 1-2; source 002).
 
     Attributes:
         f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`.
         h: measurement; takes x `(..., n)`, u `(..., nu)` and t, returns `(..., m)`.
-        Q: process noise covariance of one step `(n, n)`.
+        Q: covariance of w in one step `(n, n)`, or `(k, k)` with Ω.
         R: measurement noise covariance `(m, m)`.
         n_controls: count of controls.
         f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if absent.
         batched: whether f, h and their Jacobians take leading axes; if not they are looped over.
         differences: scheme and step of the difference Jacobians.
         names, units: of the state's coordinates.
+        noise_gain: Ω `(n, k)`, or a function of x, u, t and dt that returns ∂x⁺/∂w `(..., n, k)`;
+            the process noise is then Ω Q Ωᵀ at the estimate. The identity by default.
+        n_states: n, where Ω is a function.
 
     Raises:
         CovarianceError: R is not symmetric positive definite.
@@ -47,13 +50,26 @@ class FunctionModel:
     differences: Differences = Differences("centered", 1e-5)
     names: tuple[str, ...] | None = None
     units: tuple[str, ...] | None = None
+    noise_gain: Function | Array | None = None
+    n_states: int = 0
     space: Manifold = field(init=False, repr=False)
     _output: Manifold = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not is_positive_definite(self.R):
             raise CovarianceError("R is not symmetric positive definite; raise its eigenvalues")
-        space = Manifold.euclidean(self.Q.shape[-1], self.names, self.units)
+        gain = self.noise_gain
+        if callable(gain) and self.n_states < 1:
+            raise DimensionError(
+                f"n_states is {self.n_states}; give the count of states where noise_gain is a "
+                "function"
+            )
+        if gain is not None and not callable(gain) and gain.shape[-1:] != self.Q.shape[-1:]:
+            raise DimensionError(
+                f"noise_gain has shape {gain.shape}; expected (n, {self.Q.shape[-1]}) to fit Q"
+            )
+        n = self.n_states or (self.Q if gain is None or callable(gain) else gain).shape[-2]
+        space = Manifold.euclidean(n, self.names, self.units)
         names = tuple(f"y{i}" for i in range(self.R.shape[-1]))
         object.__setattr__(self, "space", space)
         object.__setattr__(self, "_output", Manifold.euclidean(len(names), names))
@@ -84,8 +100,14 @@ class FunctionModel:
         return self.transition(x, u, t, dt), F
 
     def process_noise(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
-        """Q."""
-        return self.Q
+        """Q, or Ω Q Ωᵀ."""
+        gain = self.noise_gain
+        if gain is None:
+            return self.Q
+        if callable(gain):
+            shape = (self.space.n, self.Q.shape[-1])
+            gain = self._call("noise_gain", gain, shape, x, u, t, dt)
+        return gain @ self.Q @ gain.mT
 
     def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
         """h(x, u, t)."""

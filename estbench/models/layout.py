@@ -89,6 +89,11 @@ def sensor_unit(model: mujoco.MjModel, index: int) -> str:
     return SENSOR_UNITS.get(kind, "1")
 
 
+def suffixes(n: int) -> list[str]:
+    """What tells the n numbers of one reading apart, after its name."""
+    return [""] if n == 1 else [f".{a}" for a in _AXES] if n == 3 else [f".{k}" for k in range(n)]
+
+
 def sensor_space(model: mujoco.MjModel, sensors: Sequence[int]) -> Manifold:
     """The manifold of several sensors' readings, one after the other."""
     names: list[str] = []
@@ -101,10 +106,7 @@ def sensor_space(model: mujoco.MjModel, sensors: Sequence[int]) -> Manifold:
         if quaternion:
             quaternions.append([start, len(names)])
         n = 3 if quaternion else width
-        suffixes = (
-            [""] if n == 1 else [f".{a}" for a in _AXES] if n == 3 else [f".{k}" for k in range(n)]
-        )
-        names += [name + s for s in suffixes]
+        names += [name + s for s in suffixes(n)]
         units += [sensor_unit(model, i)] * n
         start += width
     return Manifold(tuple(names), tuple(units), np.array(quaternions, np.intp).reshape(-1, 2))

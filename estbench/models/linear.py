@@ -102,7 +102,7 @@ class LinearModel:
 def _affine(M: Array, x: Array, N: Array | None, u: Array) -> Array:
     """M x + N u for x `(run, n)` or `(run, point, n)` and u `(run, nu)`."""
     points = x if x.ndim == 3 else x[:, None]
-    out = points @ np.swapaxes(M, -1, -2)
+    out = points @ M.mT
     if N is not None and N.shape[-1]:
-        out = out + u[:, None] @ np.swapaxes(N, -1, -2)
+        out = out + u[:, None] @ N.mT
     return out if x.ndim == 3 else out[:, 0]

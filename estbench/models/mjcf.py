@@ -211,14 +211,17 @@ def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array
     return x, model.key_ctrl[index].copy()
 
 
+def control_limits(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """Lowest and highest control of each actuator `(nu,)`, infinite where there is no limit."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
+    return low, np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+
+
 def clamp(model: mujoco.MjModel, u: Array) -> Array:
     """Controls `(..., nu)` clipped to the actuators' ctrlrange, as MuJoCo would."""
-    limited = model.actuator_ctrllimited.astype(bool)
-    if not limited.any():
-        return u
-    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
-    high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
-    return np.clip(u, low, high)
+    low, high = control_limits(model)
+    return np.minimum(np.maximum(u, low), high)
 
 
 def _one_line(error: Exception) -> str:

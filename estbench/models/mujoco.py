@@ -13,37 +13,41 @@ from estbench.models import layout, mjcf
 from estbench.models.base import Channels
 from estbench.models.differences import Differences
 from estbench.models.disturbance import Disturbance
+from estbench.models.reading import Plan, Source, needed_stage, sensor_columns
 from estbench.models.rows import Rows
 
+__all__ = ["MujocoModel", "SensorChannel", "needed_stage", "sensor_columns", "whole_steps"]
+
 Array = NDArray[np.float64]
+Scale = Callable[[float], float | Array]
 
 
 @dataclass(frozen=True, eq=False)
 class SensorChannel:
-    """One sensor of a MuJoCo model as the filter believes it.
+    """One channel as the filter believes it.
 
     Attributes:
         name: the channel's name.
-        index: the MuJoCo sensor.
+        index: the MuJoCo sensor; any number where `source` is given.
         cov: R `(m, m)` in the tangent of the reading.
-        scale: factor on the noise's std over time, None for a constant.
+        scale: factor on the noise's std over time (one, or one an axis), None for a constant.
+        source: what it reads, where that is not one sensor.
     """
 
     name: str
     index: int
     cov: Array
-    scale: Callable[[float], float] | None = None
+    scale: Scale | None = None
+    source: Source | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Selection:
-    """What is needed to read a set of channels: columns of sensordata, stage, space, R."""
+    """What is needed to read a set of channels: what they read, and R."""
 
-    columns: NDArray[np.intp]
-    stage: int
-    space: Manifold
+    plan: Plan
     R: Array
-    scales: tuple[tuple[slice, Callable[[float], float]], ...]
+    scales: tuple[tuple[slice, Scale], ...]
 
 
 class MujocoModel:
@@ -76,6 +80,7 @@ class MujocoModel:
         self._space = layout.state_space(model)
         self._rates = Manifold.euclidean(self._space.n)
         self._rows = Rows(model, nthread)
+        self._limits = mjcf.control_limits(model)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
         self._steps: dict[float, int] = {}
 
@@ -91,7 +96,7 @@ class MujocoModel:
 
     def output(self, channels: Channels = None) -> Manifold:
         """The manifold of the channels' readings."""
-        return self._select(channels).space
+        return self._select(channels).plan.space
 
     def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
         """X after dt/timestep physics steps; NaN where MuJoCo could not go on."""
@@ -125,8 +130,7 @@ class MujocoModel:
 
     def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
         """The readings at x under the control u, undisturbed."""
-        chosen = self._select(channels)
-        return self._rows.read(x, self._clamp(u), t, chosen.stage, chosen.columns)
+        return self._select(channels).plan.read(self._rows, x, self._clamp(u), t)
 
     def measurement_jacobian(
         self, x: Array, u: Array, t: float, channels: Channels = None
@@ -146,7 +150,8 @@ class MujocoModel:
             return chosen.R
         R = chosen.R.copy()
         for block, scale in chosen.scales:
-            R[block, block] *= scale(t) ** 2
+            factor = np.broadcast_to(scale(t), (block.stop - block.start,))
+            R[block, block] *= np.outer(factor, factor)
         return R
 
     def steps(self, dt: float) -> int:
@@ -162,7 +167,7 @@ class MujocoModel:
     def _clamp(self, u: Array) -> Array:
         if u.shape[-1] != self.nu:
             raise DimensionError(f"u has {u.shape[-1]} controls; expected {self.nu}")
-        return mjcf.clamp(self.mjmodel, u)
+        return np.minimum(np.maximum(u, self._limits[0]), self._limits[1])
 
     def _select(self, names: Channels) -> _Selection:
         key = None if names is None else tuple(names)
@@ -176,13 +181,13 @@ class MujocoModel:
             if name not in known:
                 raise ScenarioError(f"no channel '{name}'{did_you_mean(name, known)}")
         chosen = self.channels if names is None else [known[name] for name in names]
-        sensors = [c.index for c in chosen]
-        space = layout.sensor_space(self.mjmodel, sensors)
-        R = np.zeros((space.n, space.n))
+        sources = [c.source or Source.of_sensors(self.mjmodel, c.index) for c in chosen]
+        plan = Plan(self.mjmodel, sources)
+        R = np.zeros((plan.space.n, plan.space.n))
         scales = []
         start = 0
-        for channel in chosen:
-            width = layout.sensor_space(self.mjmodel, [channel.index]).n
+        for channel, source in zip(chosen, sources):
+            width = source.space.n
             if channel.cov.shape != (width, width):
                 raise DimensionError(
                     f"channel '{channel.name}': R has shape {channel.cov.shape}; "
@@ -193,27 +198,7 @@ class MujocoModel:
             if channel.scale is not None:
                 scales.append((block, channel.scale))
             start = block.stop
-        columns, stage = sensor_columns(self.mjmodel, sensors), needed_stage(self.mjmodel, sensors)
-        return _Selection(columns, stage, space, R, tuple(scales))
-
-
-def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:
-    """Columns of sensordata that hold the sensors' readings, in order."""
-    parts = [np.arange(model.sensor_dim[i]) + model.sensor_adr[i] for i in sensors]
-    return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
-
-
-def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
-    """The highest pipeline stage (mjtStage) that the sensors need."""
-    return max((_stage(model, i) for i in sensors), default=0)
-
-
-def _stage(model: mujoco.MjModel, sensor: int) -> int:
-    stage = int(model.sensor_needstage[sensor])
-    if model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_E_KINETIC:
-        # Declared as position stage, but its velocity part is then another row's.
-        stage = max(stage, int(mujoco.mjtStage.mjSTAGE_VEL))
-    return stage
+        return _Selection(plan, R, tuple(scales))
 
 
 def whole_steps(dt: float, timestep: float, what: str) -> int:

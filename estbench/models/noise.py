@@ -36,15 +36,15 @@ def van_loan(F: Array, Q_s: Array, dt: float, G: Array | None = None) -> tuple[A
     width = n if G is None else G.shape[-1]
     if Q_s.shape[-2:] != (width, width):
         raise DimensionError(f"Q_s has shape {Q_s.shape}; expected {(width, width)}")
-    driven = Q_s if G is None else G @ Q_s @ np.swapaxes(G, -1, -2)
+    driven = Q_s if G is None else G @ Q_s @ G.mT
     lead = np.broadcast_shapes(F.shape[:-2], driven.shape[:-2])
     block = np.zeros((*lead, 2 * n, 2 * n))
     block[..., :n, :n], block[..., :n, n:] = -F, driven
-    block[..., n:, n:] = np.swapaxes(F, -1, -2)
+    block[..., n:, n:] = F.mT
     exponential = np.asarray(expm(block * dt), np.float64)
-    Phi = np.swapaxes(exponential[..., n:, n:], -1, -2)
+    Phi = exponential[..., n:, n:].mT
     Q = Phi @ exponential[..., :n, n:]
-    return Phi, 0.5 * (Q + np.swapaxes(Q, -1, -2))
+    return Phi, 0.5 * (Q + Q.mT)
 
 
 def white_acceleration(dt: float, q: ArrayLike, held: bool = False) -> Array:

@@ -16,6 +16,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
 
@@ -108,7 +109,7 @@ class Rows:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
-    def _load(self, x: Array, u: Array, t: float) -> tuple[Batch, Array, Array | None]:
+    def _load(self, x: Array, u: Array, t: float) -> tuple[Batch, Array, Mask | None]:
         """Write states and controls; rows that are not finite are parked at rest and returned."""
         lead = x.shape[:-1]
         batch = self.batch(int(np.prod(lead)))
@@ -125,9 +126,9 @@ class Rows:
             rows[..., self._ctrl] = u if u.ndim == x.ndim else u[:, None]
         return batch, rows, bad
 
-    def _run(self, batch: Batch, bad: Array | None, nstep: int, stage: int) -> Array | None:
+    def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
         """Step or run forward; the mask of rows without a result, or None."""
-        failed: Array | None = None
+        failed: Mask | None = None
         try:
             if nstep:
                 batch.step(nstep=nstep)

@@ -112,8 +112,8 @@ def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
     Args:
         entry: the estimator.
         fourth: sum over the runs of the fourth power of the error `(K + 1, n)` where traces were
-            kept: then the interval is Student's t of the mean squared error across runs, as in
-            the tables. Without it the squared errors are taken to be chi-square.
+            kept: then the interval is `consistency.positive_mean_interval` of the squared error
+            across runs, as in the tables. Without it the errors are taken to be normal.
     """
     record, level = entry.record, entry.source.level
     runs = record["count"].sum(axis=0)[:, None]
@@ -122,15 +122,23 @@ def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
         mse = square / runs
         sigma = np.sqrt(record["variance_sum"].sum(axis=0) / runs)
         if fourth is not None:
-            spread = np.sqrt(np.maximum(fourth / runs - mse**2, 0.0) * runs / (runs - 1))
-            half = stats.t.ppf(0.5 + level / 2, runs - 1) * spread / np.sqrt(runs)
-            low, high = mse - half, mse + half
+            variance = np.maximum(fourth / runs - mse**2, 0.0) * runs / (runs - 1)
+            low, high = _positive_intervals(mse, variance, runs, level)
         else:
             low, high = (square / stats.chi2.ppf(0.5 + s * level / 2, runs) for s in (1, -1))
         return Rmse(
             entry.source.times, np.sqrt(mse), sigma,
             np.sqrt(np.maximum(low, 0.0)), np.sqrt(high), fourth is not None,
         )  # fmt: skip
+
+
+def _positive_intervals(mean: Array, variance: Array, runs: Array, level: float) -> tuple:
+    """`consistency.positive_mean_interval` for many means at once, from their moments."""
+    squared = variance / mean**2
+    v = squared / runs / 9
+    half = stats.t.ppf(0.5 + level / 2, (runs - 1) / (1 + squared)) * np.sqrt(v)
+    high = 1 - v - half
+    return mean / (1 - v + half) ** 3, np.where(high > 0, mean / high**3, np.inf)
 
 
 @dataclass(frozen=True, eq=False)

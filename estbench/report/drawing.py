@@ -1,8 +1,8 @@
 """A figure of the page as plain data, and the pieces that all figures are made of.
 
 Each trace's `meta` says whose it is, so that the page can choose: `entry` (drawn while that entry
-is chosen; always without it), `band` (drawn once for all entries with the same band), and `bind`:
-the row of the chosen run's data that is its y.
+is chosen; always without it or with `always`), `band` (drawn once for all entries with the same
+band), and `bind`: the row of the chosen run's data that is its y.
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,9 +15,12 @@ from estbench.report.data import Steps
 from estbench.report.sources import Entry, Source
 from estbench.report.traces import TraceStatistics
 from estbench.results import interval
+from estbench.sensors import Channel
 
 DIVERGED_ROWS = 100
 """Diverged runs listed of one estimator."""
+_SHOWN = ("noise", "noise_density", "cov", "rate", "enabled", "add", "of", "function", "unit")
+"""Keys of a channel that the table shows in columns of their own."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Facts:
         title: of the source.
         description: one line.
         rows: pairs of name and value.
-        sensors: rows of channel, type, noise, unit, rate; empty where the robot is not found.
+        sensors: rows of channel, type, noise, unit, rate, imperfections; empty without the robot.
         noise: rows of coordinate, initial σ, process noise.
         differences: how the filter's model differs from the truth, one line each.
         toml: the scenario as it was run.
@@ -95,7 +97,6 @@ def facts(source: Source) -> Facts:
         ("control", f"{scenario.control.kind}, seeing the {scenario.control.observe}"),
         ("estimators", ", ".join(attrs["estimators"])),
         ("robot", scenario.model.path),
-        ("run on", str(attrs.get("created", ""))),
         ("versions", ", ".join(f"{k} {v}" for k, v in dict(attrs.get("versions", {})).items())),
     ]
     sensors: tuple[tuple[str, ...], ...] = ()
@@ -118,16 +119,26 @@ def facts(source: Source) -> Facts:
     )  # fmt: skip
 
 
-def _sensor(prepared: setup.Setup, channel: Any) -> tuple[str, ...]:
-    model = prepared.plant.model
+def _sensor(prepared: setup.Setup, channel: Channel) -> tuple[str, ...]:
+    """Channel, type, noise, unit, rate, and whatever else is wrong with it."""
     std = np.unique(np.sqrt(np.diag(channel.cov)))
-    rate = 1 / (channel.period * model.opt.timestep)
+    timing = channel.timing
+    also = []
+    section = prepared.scenario.channels.get(channel.name)
+    if section is not None:
+        for name, field in type(section).model_fields.items():
+            value = getattr(section, name)
+            if name not in _SHOWN and value != field.get_default(call_default_factory=True):
+                also.append(f"{name.replace('_', ' ')} {value}")
+    if timing.latency and not any(text.startswith("latency") for text in also):
+        also.append(f"latency {timing.latency * timing.timestep:g} (from the MJCF)")
     return (
         channel.name,
-        layout.sensor_type(model, channel.index),
+        channel.kind,
         " ".join(f"{s:.3g}" for s in std),
         channel.space.units[0],
-        f"{rate:g} Hz",
+        f"{1 / (timing.period * timing.timestep):g} Hz",
+        ", ".join(also),
     )
 
 

@@ -106,7 +106,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         level=f"{first.level:.0%}",
         burn_in=f"{first.scenario.consistency.burn_in:g}" if first.scenario.consistency.burn_in
         else "",
-        facts=[vars(facts.facts(s)) | {"picture": p, "faults": False}
+        facts=[vars(facts.facts(s)) | {"picture": p}
                for s, p in zip(sources, robots)],
         drawings=figures,
         runs=chosen,

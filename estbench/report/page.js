@@ -36,7 +36,7 @@
     const out = [];
     for (const trace of drawing.traces) {
       const meta = trace.meta || {};
-      if (meta.entry && !state.entries.has(meta.entry)) continue;
+      if (meta.entry && !meta.always && !state.entries.has(meta.entry)) continue;
       if (meta.band) {
         const id = meta.band + meta.side;
         if (bands.has(id)) continue;

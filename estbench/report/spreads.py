@@ -34,7 +34,7 @@ def verdict(material: Material) -> Drawing:
                 x=[i.value], y=[entry.key], mode="markers", name=entry.key, showlegend=False,
                 marker={"color": palette.colour(k), "size": 10},
                 error_x=spread | {"thickness": 2, "width": 6} if finite else None,
-                meta={"entry": entry.key, "role": "anees"},
+                meta={"entry": entry.key, "role": "anees", "always": True},
             )
         )  # fmt: skip
     values = [e.summary.anees.value for e in material.entries]
@@ -158,7 +158,7 @@ def cost(material: Material) -> Drawing:
         go.Bar(
             x=[entry.summary.cost], y=[entry.key], orientation="h", name=entry.key,
             marker={"color": palette.colour(k)}, text=[f"{entry.summary.cost:.3g}"],
-            showlegend=False, meta={"entry": entry.key, "role": "cost"},
+            showlegend=False, meta={"entry": entry.key, "role": "cost", "always": True},
         )
         for k, entry in enumerate(material.entries)
     ]  # fmt: skip

@@ -11,6 +11,8 @@ from estbench.report.traces import TraceStatistics
 
 RELEVANT = 0.01
 """A difference below this part of the baseline's value is not coloured."""
+NONE = 1e-4
+"""One whose whole interval is below this part is shown as none."""
 
 
 def _cell(value: float, shown: str, kind: str = "") -> dict[str, Any]:
@@ -79,7 +81,8 @@ def _difference(difference: Interval, scale: float) -> dict[str, Any]:
     """A cell; coloured where the difference is neither chance nor too small to matter."""
     kind = _kind(difference, scale)
     mark = {"less": " ▼", "more": " ▲"}.get(kind, "")
-    return _cell(difference.value, facts.quantity(difference) + mark, kind)
+    none = max(abs(difference.low), abs(difference.high)) < NONE * abs(scale)
+    return _cell(difference.value, "≈ 0" if none else facts.quantity(difference) + mark, kind)
 
 
 def _kind(difference: Interval, scale: float) -> str:

@@ -36,7 +36,8 @@ class TraceStatistics:
         correlation: of NIS with itself, by lag in instants `(LAGS + 1,)`; NaN where never paired.
         correlation_band: half-width of the band of each lag for independent innovations.
         fourth: sum over runs of the fourth power of the error `(K + 1, n)`.
-        left: time at which each diverged run did, s, by run number; NaN where it failed earlier.
+        left: when each diverged run went above the threshold for good, s, by run number; NaN where
+            it failed without.
     """
 
     coverage: tuple[tuple[Interval, ...], ...]
@@ -177,7 +178,7 @@ def _products(nis: Array, dof: NDArray) -> tuple[Array, Array]:
 
 
 def _left(entry: Entry, nees: Array, runs: NDArray[np.int64]) -> dict[int, float]:
-    """When each diverged run had been above the threshold for long enough, s."""
+    """Start of the stretch above the threshold by which each diverged run is one, s."""
     section, times = entry.source.scenario.consistency, entry.source.times
     window = max(1, min(round(section.divergence_duration / np.diff(times).mean()), len(times)))
     found = {}

@@ -59,7 +59,7 @@ class Look:
     @property
     def strip(self) -> int:
         """Height of the chart, pixels."""
-        return 2 * round(self.height / 8)
+        return max(60, 2 * round(self.height / 8))
 
 
 def frame_steps(times: Array, fps: float, speed: float = 1.0) -> NDArray[np.intp]:

@@ -14,25 +14,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from estbench.estimators.base import Fault, Gaussian, marked
+from estbench.estimators.base import Fault, Gaussian, Measurement, marked
 from estbench.linalg import quadratic_form, symmetrize
-from estbench.models.base import Channels, Model
+from estbench.models.base import Model
 from estbench.models.wrappers import carry
 from estbench.smoothers.rts import check_lengths
 
 Array = NDArray[np.float64]
 _SMALLEST = 2.0**-6
 """A step is halved this far while the cost rises, then taken all the same."""
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """What arrived at one instant: y `(run, ny)`, the control u `(run, nu)`, as in `update`."""
-
-    y: Array
-    u: Array
-    channels: Channels = None
-    mask: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +61,7 @@ def map_estimate(
     prior: Gaussian,
     controls: Sequence[Array],
     times: Sequence[float],
-    measurements: Sequence[Measurement | None],
+    measurements: Sequence[Sequence[Measurement]],
     *,
     start: Sequence[Array] | None = None,
     iterations: int = 20,
@@ -90,7 +80,7 @@ def map_estimate(
         prior: the belief at the first time before its measurement; P₀ may be singular.
         controls: K controls `(run, nu)`, held from one time to the next.
         times: K + 1 instants in s.
-        measurements: what arrived at each time, or None.
+        measurements: what arrived at each time: none, one, or several.
         start: K + 1 states `(run, nx)`; default the prior mean carried along by the model.
         iterations: most linearizations, halvings included.
         tolerance: a run is done when no coordinate moves by more than this, in its own unit.
@@ -150,7 +140,7 @@ def _linearize(
     prior: Gaussian,
     controls: Sequence[Array],
     times: Sequence[float],
-    measurements: Sequence[Measurement | None],
+    measurements: Sequence[Sequence[Measurement]],
     x: Array,
 ) -> _System:
     """Residuals, slopes and noise at the trajectory x `(run, time, nx)`.
@@ -174,9 +164,7 @@ def _linearize(
         noise.append((row, space.transport(Q, w)))
         slopes += [(row, k + 1, eye), (row, k, -carry(space, w, F, eye)[0])]
         row += space.n
-    for k, measurement in enumerate(measurements):
-        if measurement is None:
-            continue
+    for k, measurement in ((k, m) for k, at_once in enumerate(measurements) for m in at_once):
         y, u, channels, mask = (getattr(measurement, a) for a in ("y", "u", "channels", "mask"))
         output, m = model.output(channels), model.output(channels).n
         predicted, H = model.measurement_jacobian(x[:, k], u, times[k], channels)
@@ -209,7 +197,7 @@ def _factors(system: _System, states: int, n: int, active: NDArray[np.bool_]):
         add(row, row, block)
     for row, state, block in system.slopes:
         add(row, rows + n * state, block)
-        add(rows + n * state, row, np.swapaxes(block, -1, -2))
+        add(rows + n * state, row, block.mT)
     places = np.concatenate(at_row), np.concatenate(at_col)
     entries = np.concatenate(values, axis=-1)
     size = rows + n * states

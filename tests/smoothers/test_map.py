@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from estbench.errors import DimensionError
-from estbench.estimators.base import Fault, Gaussian
+from estbench.estimators.base import Fault, Gaussian, Measurement
 from estbench.estimators.ekf import EKF
-from estbench.smoothers.map import Measurement, map_estimate
+from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from tests.estimators.test_enkf import start
 from tests.helpers import CENTERED, mujoco_model, nonlinear_model, random_states
@@ -22,7 +22,8 @@ def test_equals_the_batch_solution_and_rts_on_a_linear_model(seed):
     assert np.linalg.matrix_rank(model.Q) < 3
     seen = [np.where(m, y, np.nan) for m, y in zip(masks, ys)]
     measured = [
-        Measurement(y, controls[max(k - 1, 0)], mask=m) for k, (y, m) in enumerate(zip(seen, masks))
+        [Measurement(y, controls[max(k - 1, 0)], mask=m)]
+        for k, (y, m) in enumerate(zip(seen, masks))
     ]
     times = list(range(8))
     result = map_estimate(model, gaussian(mean, cov), controls, times, measured)
@@ -49,8 +50,8 @@ def cost(model, prior, controls, times, measured, xs):
         dt = times[k + 1] - times[k]
         w = space.minus(xs[k + 1], model.transition(xs[k], u, times[k], dt))[0]
         total += w @ np.linalg.solve(model.process_noise(xs[k], u, times[k], dt), w)
-    for k, z in enumerate(measured):
-        if z is not None:
+    for k, at_once in enumerate(measured):
+        for z in at_once:
             output = model.output(z.channels)
             h = model.measurement(xs[k], z.u, times[k], z.channels)
             v = output.minus(z.y, h)[0]
@@ -80,8 +81,8 @@ def test_nonlinear_minimum():
     times = [k * dt for k in range(6)]
     rng = np.random.default_rng(0)
     measured = [
-        Measurement(model.measurement(mean, u, 0.0) + 0.2 * rng.standard_normal((1, 2)), u)
-        if k != 2 else None for k in range(6)
+        [Measurement(model.measurement(mean, u, 0.0) + 0.2 * rng.standard_normal((1, 2)), u)]
+        if k != 2 else [] for k in range(6)
     ]  # fmt: skip
     prior = gaussian(mean, cov)
     result = map_estimate(model, prior, [u] * 5, times, measured, iterations=60)
@@ -101,7 +102,7 @@ def test_minimum_on_a_robot_with_quaternions():
         output = model.output(channels)
         y = model.measurement(x, u, 0.0, channels)
         noise = 0.3 * rng.standard_normal((1, output.n))
-        measured.append(Measurement(output.plus(y, noise), u, channels))
+        measured.append([Measurement(output.plus(y, noise), u, channels)])
     result = map_estimate(
         model, prior, [u] * 2, times, measured, iterations=60, tolerance=1e-8, covariance=False
     )
@@ -111,7 +112,7 @@ def test_minimum_on_a_robot_with_quaternions():
 
 def test_a_window_started_from_the_solution_stays_there():
     model, mean, cov, controls, ys, _ = linear_problem(4)
-    measured = [Measurement(y, controls[max(k - 1, 0)]) for k, y in enumerate(ys)]
+    measured = [[Measurement(y, controls[max(k - 1, 0)])] for k, y in enumerate(ys)]
     first = map_estimate(model, gaussian(mean, cov), controls, list(range(8)), measured)
     again = map_estimate(
         model, gaussian(mean, cov), controls, list(range(8)), measured,
@@ -132,7 +133,7 @@ def test_runs_do_not_depend_on_the_batch_and_a_failed_one_stands_alone():
     ys[3][1] = np.nan
 
     def estimate(rows):
-        measured = [Measurement(y[rows], u[rows]) for y in ys]
+        measured = [[Measurement(y[rows], u[rows])] for y in ys]
         return map_estimate(
             model, gaussian(mean[rows], cov[rows]), [u[rows]] * 4, times, measured, iterations=60
         )
@@ -157,7 +158,7 @@ def test_halving_the_step_converges_where_plain_gauss_newton_cycles():
     model, dt = nonlinear_model(4), 0.1
     mean, cov, u = (a[3:] for a in start(model, 4))
     times = [k * dt for k in range(5)]
-    measured = [Measurement(model.measurement(mean, u, 0.0) + 0.05 * k, u) for k in range(5)]
+    measured = [[Measurement(model.measurement(mean, u, 0.0) + 0.05 * k, u)] for k in range(5)]
     prior = gaussian(mean, 0.2 * cov)
     result = map_estimate(model, prior, [u] * 4, times, measured, iterations=200, covariance=False)
     assert result.converged.all()

@@ -1,0 +1,139 @@
+"""Is the verdict itself to be trusted? Whole experiments, many times over, on exact models.
+
+On a linear-Gaussian model the Kalman filter's covariance is right to the last digit, so that every
+"overconfident" or "conservative" is a false alarm, and a filter told a wrong Q is wrong by a known
+factor. The truth is simulated here with numpy alone, not by the code that is under test.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from estbench.analysis.intervals import wilson
+from estbench.consistency import Interval, Verdict, judge, positive_mean_interval
+from estbench.estimators.kf import KF
+from estbench.linalg import psd_factor, quadratic_form
+from estbench.models.linear import LinearModel
+
+Array = NDArray[np.float64]
+ROWS = 20_000
+"""Runs simulated at once."""
+
+
+def oscillator(dt: float = 0.1) -> LinearModel:
+    """A damped oscillator of 1 Hz shaken by a white force; its position is measured."""
+    w, zeta = 2 * np.pi, 0.1
+    A: Array = expm(np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]]) * dt)
+    return LinearModel(A, np.array([[1.0, 0.0]]), np.diag([1e-4, 0.1]), np.array([[0.01]]))
+
+
+def vehicle(dt: float = 0.1) -> LinearModel:
+    """Nearly constant velocity in the plane (Bar-Shalom et al. 2001, sec. 6.3.2), seen in both."""
+    block: Array = np.array([[1.0, dt], [0.0, 1.0]])
+    noise: Array = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    C = np.kron(np.eye(2), [[1.0, 0.0]])
+    return LinearModel(np.kron(np.eye(2), block), C, np.kron(np.eye(2), noise), 0.25 * np.eye(2))
+
+
+def averages(
+    truth: LinearModel,
+    runs: int,
+    steps: int,
+    seed: int,
+    *,
+    process_noise_scale: float = 1.0,
+    estimator: Callable[[LinearModel], KF] = KF,
+    spread: float = 1.0,
+) -> Array:
+    """NEES/n of each run, averaged over its steps `(run,)`: what the verdict is made from.
+
+    Args:
+        truth: x⁺ = A x + w, y = C x + v.
+        runs: how many.
+        steps: of each run; the prior is left out of the average.
+        seed: of everything.
+        process_noise_scale: the filter's Q over the true one.
+        estimator: a class of `estbench.estimators`.
+        spread: standard deviation of each coordinate at the start, known to the filter.
+    """
+    n, m = truth.A.shape[-1], truth.C.shape[0]
+    filter_ = estimator(replace(truth, Q=process_noise_scale * truth.Q))
+    rng = np.random.default_rng(seed)
+    noise, sensor = psd_factor(truth.Q), np.linalg.cholesky(truth.R)
+    x = spread * rng.standard_normal((runs, n))
+    belief = filter_.init(np.zeros((runs, n)), np.tile(spread**2 * np.eye(n), (runs, 1, 1)))
+    u, total = np.zeros((runs, 0)), np.zeros(runs)
+    for k in range(steps):
+        x = x @ truth.A.T + rng.standard_normal((runs, n)) @ noise.T
+        y = x @ truth.C.T + rng.standard_normal((runs, m)) @ sensor.T
+        belief = filter_.predict(belief, u, float(k), 1.0)
+        belief, _ = filter_.update(belief, y, u, float(k + 1))
+        total += quadratic_form(filter_.cov(belief), x - filter_.mean(belief))
+    return total / (steps * n)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How often an experiment of a size gives each verdict.
+
+    Attributes:
+        runs: of one experiment.
+        experiments: how many.
+        refused: share called overconfident or conservative, with its Wilson interval.
+        above, below: shares called overconfident, conservative.
+        undecided: share called undecided.
+    """
+
+    runs: int
+    experiments: int
+    refused: Interval
+    above: float
+    below: float
+    undecided: float
+
+
+def calibrate(
+    values: Array,
+    runs: int,
+    level: float = 0.95,
+    tolerance: float = 0.0,
+    interval: Callable[[Array, float], Interval] = positive_mean_interval,
+) -> Calibration:
+    """Cut runs into experiments, and judge each as `estbench run` would.
+
+    Args:
+        values: NEES/n of many runs `(run,)`.
+        runs: of one experiment; what is left over is not used.
+        level: of the verdict's interval.
+        tolerance: of the verdict; 0 is the pure test.
+        interval: of the mean; another one for comparison.
+    """
+    count = len(values) // runs
+    verdicts = [
+        judge(interval(part, level), 0.0, tolerance)
+        for part in values[: count * runs].reshape(count, runs)
+    ]
+    above, below, undecided = (
+        verdicts.count(v) / count
+        for v in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE, Verdict.UNDECIDED)
+    )
+    refused = sum(v in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE) for v in verdicts)
+    return Calibration(runs, count, wilson(refused, count), above, below, undecided)
+
+
+def sample(
+    truth: LinearModel, total: int, steps: int, seed: int, process_noise_scale: float = 1.0
+) -> Array:
+    """`averages` of very many runs, in pieces that fit the caches."""
+    return np.concatenate(
+        [
+            averages(
+                truth, min(ROWS, total - start), steps, seed + i,
+                process_noise_scale=process_noise_scale,
+            )
+            for i, start in enumerate(range(0, total, ROWS))
+        ]
+    )  # fmt: skip

@@ -1,0 +1,161 @@
+"""Results folders compared: what each estimator did, who is better, and what is only a tie."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
+from estbench.analysis.findings import Findings, find
+from estbench.analysis.load import Stored, load
+from estbench.errors import AnalysisError, StoreError
+from estbench.scenario import Scenario
+
+OWN = {"name", "description", "estimators", "filter", "consistency", "task"}
+"""Parts of a scenario that change neither the truth nor what is measured of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """Estimators that saw the same truth and measurements, in one store or in several.
+
+    Attributes:
+        title: scenario, duration and seed.
+        stores: the folders.
+        findings: one an estimator.
+        runs: numbers of the runs that all stores have finished; pairs and ranks are over these.
+        pairs: of the scores, all there are.
+        ranks: in order.
+        details: for each pair the differences of RMSE, one a coordinate, and that of NEES/n.
+    """
+
+    title: str
+    stores: tuple[Stored, ...]
+    findings: tuple[Findings, ...]
+    runs: NDArray[np.int64]
+    pairs: tuple[Pair, ...]
+    ranks: tuple[Rank, ...]
+    details: tuple[tuple[tuple[Paired, ...], Paired], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Everything that `estbench compare` says.
+
+    Attributes:
+        contests: one for each scenario and seed among the stores.
+        level: confidence.
+        margin: a relative difference that is too small to matter.
+        precision: wanted half-width, for the number of runs it takes.
+    """
+
+    contests: tuple[Contest, ...]
+    level: float
+    margin: float
+    precision: float
+
+
+def compare_stores(
+    folders: Sequence[str | Path], margin: float = 0.01, precision: float = 0.02
+) -> Comparison:
+    """Read results folders and compare their estimators.
+
+    Stores of one scenario and seed are compared with each other run by run, even if the filters
+    assume something else (`filter`, `consistency` and the estimators' settings may differ).
+
+    Args:
+        folders: as `estbench run` wrote them; unfinished ones count with the runs they have.
+        margin: a relative difference of errors that is too small to matter.
+        precision: wanted relative half-width of RMSE, and half-width of ANEES/n.
+
+    Raises:
+        StoreError: a folder is no store, has no finished run, is named twice, or the stores are of
+            different robots.
+        AnalysisError: a setting is out of range.
+    """
+    for name, value in (("margin", margin), ("precision", precision)):
+        if not 0 < value < 1:
+            raise AnalysisError(f"{name} is {value:g}; use a number between 0 and 1")
+    stored = [load(folder) for folder in folders]
+    titles = _titles([s.folder for s in stored])
+    first = stored[0]
+    for other in stored[1:]:
+        if (other.names, other.units) != (first.names, first.units):
+            raise StoreError(
+                f"{other.folder} estimates {_shown(other.names)} but {first.folder} "
+                f"{_shown(first.names)}; compare stores of one robot"
+            )
+    groups: dict[str, list[tuple[Stored, str]]] = {}
+    for s, title in zip(stored, titles):
+        groups.setdefault(_same(s.scenario), []).append((s, title))
+    level = first.scenario.consistency.level
+    contests = tuple(_contest(members, level, margin, precision) for members in groups.values())
+    return Comparison(contests, level, margin, precision)
+
+
+def _contest(
+    members: Sequence[tuple[Stored, str]], level: float, margin: float, precision: float
+) -> Contest:
+    stores = [s for s, _ in members]
+    findings = [
+        find(s, label, label if len(members) == 1 else f"{title}/{label}", precision)
+        for s, title in members
+        for label in s.records
+    ]
+    runs = stores[0].runs
+    for s in stores[1:]:
+        runs = np.intersect1d(runs, s.runs)
+    if not len(runs):
+        raise StoreError(
+            f"{', '.join(str(s.folder) for s in stores)} have no finished run in common; "
+            "compare them one by one"
+        )
+    rows = {id(s): np.flatnonzero(np.isin(s.runs, runs)) for s in stores}
+    mse, lost, anees = ([f.record[name][rows[id(f.stored)]] for f in findings]
+                        for name in ("mse", "diverged", "anees"))  # fmt: skip
+    lost = [x.astype(bool) for x in lost]
+    scores = {f.key: score(m, gone) for f, m, gone in zip(findings, mse, lost)}
+    pairs, ranks = compare(scores, level, margin)
+    place = {f.key: i for i, f in enumerate(findings)}
+
+    def detail(a: int, b: int) -> tuple[tuple[Paired, ...], Paired]:
+        rmse = [np.sqrt(np.where(lost[i][:, None], np.inf, mse[i])) for i in (a, b)]
+        nees = [np.where(lost[i], np.inf, anees[i]) for i in (a, b)]
+        columns = zip(rmse[0].T, rmse[1].T)
+        return tuple(paired(x, y, level) for x, y in columns), paired(*nees, level)
+
+    simulation = stores[0].scenario.simulation
+    return Contest(
+        title=f"{stores[0].scenario.name}: {len(runs)} runs x {stores[0].times[-1]:g} s "
+        f"({len(stores[0].times) - 1} steps), seed {simulation.seed}",
+        stores=tuple(stores),
+        findings=tuple(findings),
+        runs=runs,
+        pairs=tuple(pairs),
+        ranks=tuple(ranks),
+        details=tuple(detail(place[p.a], place[p.b]) for p in pairs),
+    )
+
+
+def _same(scenario: Scenario) -> str:
+    """What two stores have in common when their runs can be paired."""
+    dump = scenario.model_dump(mode="json", exclude=OWN)
+    del dump["simulation"]["runs"]
+    return repr(dump)
+
+
+def _titles(folders: Sequence[Path]) -> list[str]:
+    """The folders' names, with as many parents as it takes to tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    if len(set(parts)) < len(parts):
+        raise StoreError("a results folder is named twice; name each once")
+    depth = 1
+    while len({part[-depth:] for part in parts}) < len(parts):
+        depth += 1
+    return ["/".join(part[-depth:]) for part in parts]
+
+
+def _shown(names: Sequence[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

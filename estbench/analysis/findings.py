@@ -1,0 +1,165 @@
+"""What is said of one estimator of a store, beyond its summary."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.analysis import coverage, credibility, intervals, whiteness
+from estbench.analysis.load import Stored
+from estbench.consistency import Interval, positive_mean_interval
+from estbench.records import Record
+from estbench.statistics import Summary
+
+Array = NDArray[np.float64]
+
+TRIM = 0.1
+"""Share left out at each end of a trimmed mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """RMSE of the coordinates of one unit together: of the norm of their error.
+
+    Attributes:
+        unit: of the coordinates.
+        names: theirs.
+        mean: root of the mean over the runs that did not diverge.
+        trimmed, median: the same over all runs, a diverged one being infinitely bad.
+        sigma: root of the mean variance that the filter reports.
+        coverage: shares within 1, 2, 3σ, or None where the store has none.
+        needed: runs for which the mean has the wanted relative half-width.
+    """
+
+    unit: str
+    names: tuple[str, ...]
+    mean: Interval
+    trimmed: Interval
+    median: Interval
+    sigma: float
+    coverage: coverage.Coverage | None
+    needed: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """One estimator of one store.
+
+    Attributes:
+        key: its name in the comparison, unique.
+        label: its name in the store.
+        stored: the store.
+        summary: verdict, ANEES, RMSE of each coordinate.
+        accuracy: one a unit.
+        coverage: one a coordinate, or None where the store has none.
+        anees_trimmed, anees_median: NEES/n over all runs.
+        anees_needed: runs for which ANEES/n has the wanted half-width.
+        whiteness: of the innovations, or None.
+        nci, inclination, nci_expected: mean over the settled steps, dB; None without traces.
+    """
+
+    key: str
+    label: str
+    stored: Stored
+    summary: Summary
+    accuracy: tuple[Accuracy, ...]
+    coverage: tuple[coverage.Coverage, ...] | None
+    anees_trimmed: Interval
+    anees_median: Interval
+    anees_needed: int | None
+    whiteness: whiteness.Whiteness | None
+    nci: float | None
+    inclination: float | None
+    nci_expected: float | None
+
+    @property
+    def record(self) -> Record:
+        """Per-run and per-step arrays of the finished runs."""
+        return self.stored.records[self.label]
+
+
+def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
+    """Everything that a store can say of an estimator.
+
+    Args:
+        stored: the store.
+        label: the estimator's.
+        key: its name in the comparison.
+        precision: wanted relative half-width of RMSE, and half-width of ANEES/n.
+    """
+    record, level = stored.records[label], stored.scenario.consistency.level
+    good = ~record["diverged"].astype(bool)
+    inside = _inside(record)
+    anees = np.where(good, record["anees"], np.inf)
+    credible = None
+    if stored.traces(label) is not None and good.any():
+        credible = credibility.credibility(lambda: stored.traces(label) or ())
+    lags = "lags" in record and "lag_terms" in record
+    return Findings(
+        key=key,
+        label=label,
+        stored=stored,
+        summary=stored.summaries[label],
+        accuracy=tuple(
+            _accuracy(record, good, unit, stored.names, members, inside, level, precision)
+            for unit, members in by_unit(stored.units).items()
+        ),
+        coverage=None
+        if inside is None
+        else tuple(coverage.coverage(inside[good, i], level) for i in range(len(stored.names))),
+        anees_trimmed=intervals.trimmed_mean(anees, TRIM, level),
+        anees_median=intervals.median(anees, level),
+        anees_needed=intervals.runs_needed(record["anees"][good], precision, level),
+        whiteness=whiteness.whiteness(record["lags"][good], record["lag_terms"][good], level)
+        if lags
+        else None,
+        nci=None if credible is None else float(credible.nci.mean()),
+        inclination=None if credible is None else float(credible.inclination.mean()),
+        nci_expected=None if credible is None else credible.expected,
+    )
+
+
+def by_unit(units: tuple[str, ...]) -> dict[str, list[int]]:
+    """Unit -> its coordinates, in the order in which the units come."""
+    return {unit: [i for i, u in enumerate(units) if u == unit] for unit in dict.fromkeys(units)}
+
+
+def root(i: Interval) -> Interval:
+    """The interval of the square root of a quantity that is not negative."""
+    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in (i.value, i.low, i.high)))
+
+
+def _inside(record: Record) -> Array | None:
+    """Shares within 1, 2, 3σ `(run, coordinate, 3)`."""
+    names = [f"inside_{k}" for k in coverage.SIGMAS]
+    if not all(name in record for name in names):
+        return None
+    return np.stack([record[name] for name in names], axis=-1)
+
+
+def _accuracy(
+    record: Record,
+    good: NDArray[Any],
+    unit: str,
+    names: tuple[str, ...],
+    members: list[int],
+    inside: Array | None,
+    level: float,
+    precision: float,
+) -> Accuracy:
+    mse = record["mse"][:, members].sum(axis=1)
+    every = np.where(good, mse, np.inf)
+    mean = positive_mean_interval(mse[good], level)
+    variance = record["variance"][good][:, members].sum(axis=1)
+    return Accuracy(
+        unit=unit,
+        names=tuple(names[i] for i in members),
+        mean=root(mean),
+        trimmed=root(intervals.trimmed_mean(every, TRIM, level)),
+        median=root(intervals.median(every, level)),
+        sigma=float(np.sqrt(variance.mean())) if good.any() else np.nan,
+        coverage=None if inside is None else coverage.coverage(inside[good][:, members], level),
+        # RMSE to a relative half-width is MSE to twice that.
+        needed=intervals.runs_needed(mse[good], 2 * precision * mean.value, level),
+    )

@@ -1,0 +1,31 @@
+"""A comparison as text, Markdown, LaTeX, CSV or JSON."""
+
+import json
+
+from rich.console import Group
+
+from estbench.analysis import numbers, shown, tables
+from estbench.analysis.compare import Comparison
+from estbench.errors import AnalysisError, did_you_mean
+
+FORMATS = ("text", "markdown", "csv", "latex", "json")
+
+
+def check(format_: str) -> None:
+    """Refuse an unknown format before anything is read.
+
+    Raises:
+        AnalysisError: there is no such format.
+    """
+    if format_ not in FORMATS:
+        raise AnalysisError(f"no format '{format_}'{did_you_mean(format_, FORMATS)}")
+
+
+def render(comparison: Comparison, format_: str) -> str | Group:
+    """The comparison in one of `FORMATS`; text is for a rich console."""
+    check(format_)
+    if format_ == "json":
+        return json.dumps(numbers.to_dict(comparison), indent=2, allow_nan=False)
+    if format_ == "csv":
+        return numbers.to_csv(comparison)
+    return getattr(tables, format_)(shown.build(comparison))

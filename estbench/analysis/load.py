@@ -1,0 +1,169 @@
+"""From a results folder to records: the finished runs of a store, whole or not."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estbench import scenario as scenarios
+from estbench.errors import StoreError
+from estbench.records import SUMMARY, Record
+from estbench.scenario import Scenario
+from estbench.statistics import Summary, summarize
+from estbench.store import COSTS, SCENARIO, STORE, open_results
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What a store says of the runs that are done; the others do not exist.
+
+    Attributes:
+        folder: where it lies.
+        scenario: as it was run.
+        attrs: provenance: seed, versions.
+        names, units: of the tangent coordinates `(n,)`.
+        times: instants `(K + 1,)`, s.
+        runs: numbers of the finished runs.
+        total: how many were asked for.
+        records: label -> per-run and per-step arrays, as `records.merge` gives them.
+        summaries: label -> what is said of them.
+    """
+
+    folder: Path
+    scenario: Scenario
+    attrs: dict[str, Any]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    times: Array
+    runs: NDArray[np.int64]
+    total: int
+    records: dict[str, Record]
+    summaries: dict[str, Summary]
+    _tree: xr.DataTree
+    _batches: tuple[slice, ...]
+
+    @property
+    def settled(self) -> NDArray[np.bool_]:
+        """Instants that count in averages `(K + 1,)`."""
+        return (self.times > self.scenario.consistency.burn_in) & (self.times > 0)
+
+    def traces(self, label: str) -> Iterator[tuple[Array, Array]] | None:
+        """Errors `(run, step, n)` and NEES `(run, step)` batch by batch, or None if not kept.
+
+        Over the settled instants of the runs that did not diverge.
+        """
+        if f"{label}/error" not in self._tree:
+            return None
+        return self._traces(label)
+
+    def _traces(self, label: str) -> Iterator[tuple[Array, Array]]:
+        lost = _read(self.folder, self._tree, f"{label}/diverged").astype(bool)
+        for where in self._batches:
+            values = (
+                _read(self.folder, self._tree, f"{label}/{name}", where)[~lost[where]]
+                for name in ("error", "nees")
+            )
+            error, nees = (np.asarray(v[:, self.settled], np.float64) for v in values)
+            yield error, nees
+
+
+def load(folder: str | Path) -> Stored:
+    """Read the finished runs of a results folder; safe while it is still being written.
+
+    Raises:
+        StoreError: it is no results folder, has no finished run, or a chunk is corrupted.
+        ScenarioError: its scenario is not valid.
+    """
+    folder = Path(folder)
+    tree = open_results(folder)
+    if not (folder / SCENARIO).is_file():
+        raise StoreError(f"{folder} holds no {SCENARIO}; name a folder that `estbench run` wrote")
+    try:
+        done = _read(folder, tree, "done").astype(bool)
+        labels = [str(label) for label in tree.attrs["estimators"]]
+        size = int(_array(tree, f"{labels[0]}/anees").encoding["chunks"][0])
+        names, units = (_read(folder, tree, name) for name in ("coordinate", "unit"))
+        numbers, times = _read(folder, tree, "run"), _read(folder, tree, "time")
+        records = {label: _record(folder, tree, label, done, size) for label in labels}
+    except (KeyError, IndexError) as error:
+        raise StoreError(f"{folder / STORE} is not a store of estbench: no {error}") from None
+    if not done.any():
+        raise StoreError(f"{folder} has no finished run yet; go on with it by --resume")
+    scenario = scenarios.load(folder)
+    for label, record in records.items():
+        record["cpu_time"] = _cost(folder, tree, label, done, size)
+    return Stored(
+        folder=folder,
+        scenario=scenario,
+        attrs={str(key): value for key, value in tree.attrs.items()},
+        names=tuple(map(str, names)),
+        units=tuple(map(str, units)),
+        times=times,
+        runs=numbers[done],
+        total=len(done),
+        records=records,
+        summaries={
+            label: summarize(label, record, numbers[done].tolist(), times, scenario.consistency)
+            for label, record in records.items()
+        },
+        _tree=tree,
+        _batches=tuple(_whole(done, size)),
+    )
+
+
+def _whole(done: NDArray[np.bool_], size: int) -> list[slice]:
+    """Positions of the runs of each finished batch."""
+    slices = (slice(i, min(i + size, len(done))) for i in range(0, len(done), size))
+    return [s for s in slices if done[s].all()]
+
+
+def _record(
+    folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], size: int
+) -> Record:
+    """Per-run arrays of the finished runs, per-step sums of the finished batches."""
+    batches = [s.start // size for s in _whole(done, size)]
+    record: Record = {}
+    for name, field in SUMMARY.items():
+        if f"{label}/{name}" in tree:  # an older store has fewer
+            value = _read(folder, tree, f"{label}/{name}")
+            record[name] = value[batches] if field.dims[0] == "batch" else value[done]
+    return record
+
+
+def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], size: int) -> Array:
+    """Core time of each finished run `(run,)`, s, the mean of its batch; NaN if not known."""
+    if f"{label}/cpu_time" in tree:
+        return _read(folder, tree, f"{label}/cpu_time")[done]
+    cost = np.full(len(done), np.nan)
+    for where in _whole(done, size):
+        file = folder / COSTS / f"{where.start // size}.json"
+        try:
+            total = float(json.loads(file.read_text(encoding="utf-8"))[label])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        cost[where] = total / (where.stop - where.start)
+    return cost[done]
+
+
+def _array(tree: xr.DataTree, path: str) -> xr.DataArray:
+    node = tree[path]
+    if not isinstance(node, xr.DataArray):
+        raise KeyError(path)
+    return node
+
+
+def _read(folder: Path, tree: xr.DataTree, path: str, rows: slice | None = None) -> NDArray[Any]:
+    array = _array(tree, path)
+    try:
+        return (array if rows is None else array[rows]).values
+    except (OSError, ValueError, RuntimeError) as error:
+        raise StoreError(
+            f"{folder / STORE}: {path} cannot be read ({error}); --resume computes it again"
+        ) from None

@@ -1,0 +1,167 @@
+"""The tables of a comparison, as they are read by people."""
+
+import numpy as np
+
+from estbench.analysis.compare import Comparison, Contest
+from estbench.analysis.coverage import EXPECTED, SIGMAS
+from estbench.analysis.findings import TRIM
+from estbench.analysis.tables import (
+    Table,
+    bounds,
+    number,
+    percent,
+    plus_minus,
+    probability,
+)
+from estbench.consistency import Interval
+
+
+def build(comparison: Comparison) -> list[Table]:
+    """The tables of all contests."""
+    out = []
+    for contest in comparison.contests:
+        out.append(Table(_title(contest), (), ()))
+        out += [_verdicts(contest, comparison), _ranking(contest, comparison)]
+        out += [_pairs(contest, comparison), _accuracy(contest)]
+        out += [t for t in (_coverage(contest), _innovations(contest)) if t.rows]
+        out.append(_needed(contest, comparison.precision))
+    return out
+
+
+def _title(contest: Contest) -> str:
+    unfinished = [
+        f"{s.folder} has {len(s.runs)} of {s.total} runs"
+        for s in contest.stores
+        if len(s.runs) < s.total
+    ]
+    return contest.title + (f" [unfinished: {'; '.join(unfinished)}]" if unfinished else "")
+
+
+def _verdicts(contest: Contest, comparison: Comparison) -> Table:
+    return Table(
+        "Consistency",
+        ("<estimator", "<verdict", "NEES/n", "median", "NIS/m", "diverged", "µs/run-step"),
+        tuple(
+            (
+                f.key, str(f.summary.verdict), plus_minus(f.summary.anees),
+                number(f.summary.anees_median, 3), plus_minus(f.summary.anis),
+                percent(f.summary.diverged_interval), number(f.summary.cost),
+            )
+            for f in contest.findings
+        ),
+        f"± and brackets are {comparison.level:.0%} intervals across runs; of the diverged share "
+        "Wilson's.",
+    )  # fmt: skip
+
+
+def _ranking(contest: Contest, comparison: Comparison) -> Table:
+    return Table(
+        "Ranking by RMSE",
+        ("rank", "<estimator", "RMSE / first", "in ranks", "lost"),
+        tuple(
+            (
+                f"{r.place}{'=' if r.tied else ''}", r.key,
+                "1" if i == 0 else bounds(r.ratio),
+                f"{r.place}–{r.last}" if r.last > r.place else f"{r.place}", f"{r.lost:.1%}",
+            )
+            for i, r in enumerate(contest.ranks)
+        ),
+        "The ratio is the geometric mean over the coordinates. = is a tie: not told apart at "
+        f"{comparison.level:.0%}\n(Wilcoxon, Holm over all pairs), or by less than "
+        f"{comparison.margin:.2g} of the error.",
+    )  # fmt: skip
+
+
+def _pairs(contest: Contest, comparison: Comparison) -> Table:
+    rows = []
+    for pair, (_, nees) in zip(contest.pairs, contest.details):
+        p = pair.paired
+        rows.append(
+            (
+                pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
+                probability(pair.sign), probability(pair.wilcoxon), plus_minus(nees.difference),
+            )
+        )  # fmt: skip
+    return Table(
+        "Pairs on common random numbers",
+        ("<a", "<b", "RMSE a/b", "a less/more/tie", "sign p", "Wilcoxon p", "NEES/n a-b"),
+        tuple(rows),
+        "p-values are Holm's, over these pairs; runs that one lost count as worse.",
+    )
+
+
+def _accuracy(contest: Contest) -> Table:
+    return Table(
+        "RMSE",
+        ("<estimator", "unit", "mean", "trimmed mean", "median", "σ"),
+        tuple(
+            (
+                f.key if i == 0 else "", a.unit, plus_minus(a.mean), plus_minus(a.trimmed),
+                plus_minus(a.median), number(a.sigma),
+            )
+            for f in contest.findings
+            for i, a in enumerate(f.accuracy)
+        ),
+        f"Of the norm of all coordinates of a unit. The mean is over runs that did not diverge; "
+        f"the mean without\n{TRIM:.0%} at each end and the median are over all runs.",
+    )  # fmt: skip
+
+
+def _coverage(contest: Contest) -> Table:
+    return Table(
+        "Coverage: errors within 1σ, 2σ, 3σ, %",
+        ("<estimator", "unit", *(f"{k}σ ({100 * e:.2f})" for k, e in zip(SIGMAS, EXPECTED))),
+        tuple(
+            (
+                f.key if i == 0 else "",
+                a.unit,
+                *(plus_minus(_scaled(share, 100)) for share in a.coverage.shares),
+            )
+            for f in contest.findings
+            for i, a in enumerate(f.accuracy)
+            if a.coverage is not None
+        ),
+        "Expected of normal errors in brackets.",
+    )
+
+
+def _innovations(contest: Contest) -> Table:
+    rows = []
+    for f in contest.findings:
+        if f.whiteness is None and f.nci is None:
+            continue
+        white = ("–", "–") if f.whiteness is None else (
+            percent(f.whiteness.rejected), probability(f.whiteness.p),
+        )  # fmt: skip
+        nci = ("–", "–") if f.nci is None or f.inclination is None else (
+            f"{f.nci:.3f} ({number(f.nci_expected or np.nan, 3)})", f"{f.inclination:+.3f}",
+        )  # fmt: skip
+        rows.append((f.key, plus_minus(f.summary.lag_one), *white, *nci))
+    level = contest.stores[0].scenario.consistency.level
+    return Table(
+        "Innovations and credibility",
+        ("<estimator", "lag-one", "runs not white", "pooled p", "NCI, dB", "inclination, dB"),
+        tuple(rows),
+        f"Ljung-Box: {1 - level:.0%} of the runs are expected. NCI: 0 is credible, in brackets what "
+        "this many runs\ngive at best; inclination: above 0 optimistic.",
+    )
+
+
+def _needed(contest: Contest, precision: float) -> Table:
+    units = tuple(a.unit for a in contest.findings[0].accuracy)
+    return Table(
+        f"Runs needed for NEES/n ± {precision:g}, RMSE ± {precision:.2g} of it",
+        ("<estimator", "NEES/n", *(f"RMSE, {unit}" for unit in units)),
+        tuple(
+            (f.key, *(_count(x) for x in (f.anees_needed, *(a.needed for a in f.accuracy))))
+            for f in contest.findings
+        ),
+    )
+
+
+def _count(x: int | None) -> str:
+    return "–" if x is None else str(x)
+
+
+def _scaled(i: Interval, factor: float) -> Interval:
+    return Interval(factor * i.value, factor * i.low, factor * i.high)

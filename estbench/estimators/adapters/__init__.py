@@ -1,0 +1,1 @@
+"""Filters of other libraries behind the estimators' protocol; each library is imported on use."""

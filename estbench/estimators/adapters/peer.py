@@ -1,0 +1,146 @@
+"""What the adapters share: a peer's filter knows one run, so the runs are done one by one."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstimatorError
+from estbench.estimators.base import Fault, Gaussian, GaussianEstimator, Innovation, marked
+from estbench.linalg import cholesky, solve_lower
+from estbench.models.base import Channels, Model
+
+Array = NDArray[np.float64]
+Moments = tuple[Array, Array]
+"""Mean `(n,)` and covariance `(n, n)` of one run."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneRun:
+    """The model as one run sees it at one time.
+
+    Attributes:
+        model: of all runs.
+        index: which run, for noise that differs between runs.
+        u: its control `(1, nu)`.
+        t: s.
+        dt: s to the next time; 0 for an update.
+        channels: that deliver.
+        arrived: which components did `(m,)`; None is all.
+    """
+
+    model: Model
+    index: int
+    u: Array
+    t: float
+    dt: float = 0.0
+    channels: Channels = None
+    arrived: NDArray[np.bool_] | None = None
+
+    def f(self, points: Array) -> Array:
+        """The states `(point, n)` after dt."""
+        return self.model.transition(points[None], self.u, self.t, self.dt)[0]
+
+    def f_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """State `(n,)` and Φ `(n, n)` after dt."""
+        moved, F = self.model.transition_jacobian(x[None], self.u, self.t, self.dt)
+        return moved[0], F[0]
+
+    def process_noise(self, x: Array) -> Array:
+        """Q `(n, n)` at x."""
+        Q = self.model.process_noise(x[None], self.u, self.t, self.dt)
+        return Q[0] if Q.ndim == 3 else Q
+
+    def h(self, points: Array) -> Array:
+        """What is measured of the states `(point, m)`."""
+        return self._kept(self.model.measurement(points[None], self.u, self.t, self.channels)[0])
+
+    def h_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Measurement `(m,)` and H `(m, n)`."""
+        y, H = self.model.measurement_jacobian(x[None], self.u, self.t, self.channels)
+        return self._kept(y[0]), self._kept(H[0].T).T
+
+    def measurement_noise(self) -> Array:
+        """R `(m, m)`."""
+        R = self.model.measurement_noise(self.t, self.channels)
+        R = R[self.index] if R.ndim == 3 else R
+        return self._kept(self._kept(R).T).T
+
+    def _kept(self, columns: Array) -> Array:
+        return columns if self.arrived is None else columns[..., self.arrived]
+
+
+@dataclass(frozen=True)
+class PeerFilter(GaussianEstimator):
+    """Drives another library's filter; a subclass predicts and updates one run.
+
+    Attributes:
+        model: the filter's model, whose state and measurements must be vectors.
+
+    Raises:
+        EstimatorError: the state or a measurement holds a quaternion.
+        MissingExtraError: the library is not installed.
+    """
+
+    model: Model
+
+    def __post_init__(self) -> None:
+        for what, space in (("state", self.model.space), ("measurement", self.model.output())):
+            if not space.flat:
+                raise EstimatorError(
+                    f"{type(self).__name__}: the {what} holds a quaternion and this library knows "
+                    "vectors only; use 'ekf' or 'ukf', or leave that channel out"
+                )
+        self.load()
+
+    def load(self) -> None:
+        """Import the library."""
+        raise NotImplementedError
+
+    def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
+        """x̂⁻ and P⁻ of one run."""
+        raise NotImplementedError
+
+    def updated(self, x: Array, P: Array, y: Array, one: OneRun) -> tuple[Array, Array, Moments]:
+        """x̂⁺, P⁺ and (ν, S) of one run."""
+        raise NotImplementedError
+
+    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
+        """The library's prediction, run by run."""
+        mean, cov = belief.mean.copy(), belief.cov.copy()
+        fault = np.zeros(len(mean), np.uint8)
+        for i in np.flatnonzero(belief.fault == 0):
+            one = OneRun(self.model, int(i), u[i : i + 1], t, dt)
+            try:
+                mean[i], cov[i] = self.predicted(mean[i].copy(), cov[i].copy(), one)
+            except np.linalg.LinAlgError:
+                fault[i] = Fault.COVARIANCE
+        return marked(replace(belief, mean=mean, cov=cov), fault)
+
+    def update(
+        self,
+        belief: Gaussian,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Gaussian, Innovation]:
+        """The library's update, run by run; what did not arrive is left out of H and R."""
+        mean, cov = belief.mean.copy(), belief.cov.copy()
+        runs, m = y.shape
+        residual, S = np.zeros((runs, m)), np.tile(np.eye(m), (runs, 1, 1))
+        present = np.ones((runs, m), bool) if mask is None else mask
+        fault = np.zeros(runs, np.uint8)
+        for i in np.flatnonzero((belief.fault == 0) & present.any(axis=-1)):
+            here = present[i]
+            one = OneRun(self.model, int(i), u[i : i + 1], t, 0.0, channels, here)
+            try:
+                mean[i], cov[i], (residual[i, here], S[i][np.ix_(here, here)]) = self.updated(
+                    mean[i].copy(), cov[i].copy(), y[i, here], one
+                )
+            except np.linalg.LinAlgError:
+                fault[i] = Fault.INNOVATION
+        white = solve_lower(cholesky(S), residual[..., None])[..., 0]
+        innovation = Innovation(residual, S, white, (white**2).sum(axis=-1), present.sum(axis=-1))
+        return marked(replace(belief, mean=mean, cov=cov), fault), innovation

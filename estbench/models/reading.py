@@ -1,0 +1,111 @@
+"""Where a channel's noise-free reading comes from: MuJoCo sensors, or a user's function."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import ScenarioError
+from estbench.manifold import Manifold, product
+from estbench.models import layout
+from estbench.models.rows import Rows
+
+Array = NDArray[np.float64]
+StateFunction = Callable[[Array, Array, float], Array]
+"""h(x, u, t): state `(..., nx)`, control `(..., nu)`, time in s -> reading `(..., m)`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One channel's noise-free reading.
+
+    Attributes:
+        space: the manifold of the reading.
+        sensors: MuJoCo sensors, read one after the other.
+        function: in their place, a function of the state.
+        name: of the function, for messages.
+    """
+
+    space: Manifold
+    sensors: tuple[int, ...] = ()
+    function: StateFunction | None = None
+    name: str = ""
+
+    @classmethod
+    def of_sensors(cls, model: mujoco.MjModel, *sensors: int) -> "Source":
+        """The readings of some sensors of a model."""
+        return cls(layout.sensor_space(model, sensors), sensors)
+
+    def call(self, x: Array, u: Array, t: float) -> Array:
+        """The function at states `(..., nx)`, checked.
+
+        Raises:
+            ScenarioError: it raised, or returned another shape.
+        """
+        assert self.function is not None
+        u = np.broadcast_to(u if u.ndim == x.ndim else u[:, None], (*x.shape[:-1], u.shape[-1]))
+        try:
+            y = np.asarray(self.function(x.copy(), u, t), dtype=np.float64)
+        except Exception as error:  # a user's function may raise anything
+            raise ScenarioError(
+                f"{self.name} raised {type(error).__name__} for x of shape {x.shape}: {error}"
+            ) from None
+        expected = (*x.shape[:-1], self.space.nx)
+        if y.shape != expected:
+            raise ScenarioError(
+                f"{self.name} returned shape {y.shape} for x of shape {x.shape}; expected "
+                f"{expected}: index the state as x[..., i] and keep the last axis"
+            )
+        return y
+
+
+class Plan:
+    """How to read some channels together: one pass of MuJoCo for all of its sensors.
+
+    Args:
+        model: compiled MuJoCo model.
+        sources: one a channel, in order.
+    """
+
+    def __init__(self, model: mujoco.MjModel, sources: Sequence[Source]):
+        self.space = product([s.space for s in sources])
+        sensors = [i for s in sources for i in s.sensors]
+        self._columns, self._stage = sensor_columns(model, sensors), needed_stage(model, sensors)
+        self._sources = tuple(sources) if any(s.function for s in sources) else ()
+
+    def read(self, rows: Rows, x: Array, u: Array, t: float) -> Array:
+        """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
+        if not self._sources:
+            return rows.read(x, u, t, self._stage, self._columns)
+        sensed, start = np.empty((*x.shape[:-1], 0)), 0
+        if len(self._columns):
+            sensed = rows.read(x, u, t, self._stage, self._columns)
+        parts = []
+        for source in self._sources:
+            if source.function is not None:
+                parts.append(source.call(x, u, t))
+                continue
+            parts.append(sensed[..., start : start + source.space.nx])
+            start += source.space.nx
+        return np.concatenate(parts, axis=-1)
+
+
+def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:
+    """Columns of sensordata that hold the sensors' readings, in order."""
+    parts = [np.arange(model.sensor_dim[i]) + model.sensor_adr[i] for i in sensors]
+    return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
+
+
+def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
+    """The highest pipeline stage (mjtStage) that the sensors need."""
+    return max((_stage(model, i) for i in sensors), default=0)
+
+
+def _stage(model: mujoco.MjModel, sensor: int) -> int:
+    stage = int(model.sensor_needstage[sensor])
+    if model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_E_KINETIC:
+        # Declared as position stage, but its velocity part is then another row's.
+        stage = max(stage, int(mujoco.mjtStage.mjSTAGE_VEL))
+    return stage

@@ -1,0 +1,170 @@
+"""Smoothers as estimators: a filter that, when the run is over, looks back with all it has seen."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstimatorError
+from estbench.estimators import registry
+from estbench.estimators.base import Estimator, Gaussian, Innovation, Passage
+from estbench.estimators.settings import in_range, whole
+from estbench.models.base import Channels, Model
+from estbench.smoothers.map import map_estimate
+from estbench.smoothers.rts import rts
+from estbench.smoothers.urts import urts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FilterThenSmooth:
+    """What the smoothers share: `base` filters, a subclass's `smooth` looks back.
+
+    Innovations, NIS and the estimate that a controller sees are the filter's; errors, NEES and RMSE
+    are the smoother's.
+
+    Attributes:
+        model: the filter's model.
+        base: the filter, one of `bases`, or your own `package.module:Name`.
+        settings: of the filter.
+    """
+
+    model: Model
+    base: str = "ekf"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    bases: ClassVar[tuple[str, ...]] = ()
+    _filter: Estimator = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.base not in self.bases and ":" not in self.base:
+            raise EstimatorError(
+                f"{type(self).__name__}: base is {self.base!r}; use one of "
+                f"{', '.join(self.bases)}, or your own as package.module:Name"
+            )
+        object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))
+
+    def init(self, mean: Array, cov: Array) -> Any:
+        """The filter's start."""
+        return self._filter.init(mean, cov)
+
+    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+        """The filter's prediction."""
+        return self._filter.predict(belief, u, t, dt)
+
+    def update(
+        self,
+        belief: Any,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Any, Innovation]:
+        """The filter's update."""
+        return self._filter.update(belief, y, u, t, channels, mask)
+
+    def mean(self, belief: Any) -> Array:
+        """x̂ `(run, nx)`, filtered or smoothed."""
+        return belief.mean if type(belief) is Gaussian else self._filter.mean(belief)
+
+    def cov(self, belief: Any) -> Array:
+        """P `(run, n, n)`, filtered or smoothed."""
+        return belief.cov if type(belief) is Gaussian else self._filter.cov(belief)
+
+    def _gaussians(self, beliefs: Sequence[Any]) -> list[Gaussian]:
+        """The filter's beliefs as plain Gaussians."""
+        return [
+            Gaussian(mean := self.mean(b), self.cov(b), _fault(b, len(mean))) for b in beliefs
+        ]
+
+
+@dataclass(frozen=True)
+class RTS(FilterThenSmooth):
+    """Rauch-Tung-Striebel smoother after a linear or extended filter (see `smoothers.rts.rts`).
+
+    Cost per step: the filter's, and n + 1 transitions and one Q with forward differences. Choose it
+    to see what a run's data are worth when all of them may be used.
+    """
+
+    bases: ClassVar[tuple[str, ...]] = ("ekf", "iekf", "sr_ekf", "kf", "lkf", "cd_ekf")
+
+    def smooth(self, passage: Passage) -> list[Gaussian]:
+        """Backwards through the filter's posteriors."""
+        posteriors = self._gaussians(passage.beliefs)
+        return rts(self.model, posteriors, passage.controls, passage.times)
+
+
+@dataclass(frozen=True)
+class URTS(FilterThenSmooth):
+    """Unscented RTS smoother after a sigma-point filter, by its own points (`smoothers.urts.urts`).
+
+    Cost per step: the filter's, and one transition a sigma point (2 n + 1) and one Q. Choose it
+    where you would choose the UKF.
+    """
+
+    base: str = "ukf"
+    bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf")
+
+    def smooth(self, passage: Passage) -> list[Gaussian]:
+        """Backwards through the filter's posteriors."""
+        posteriors = self._gaussians(passage.beliefs)
+        rule = getattr(self._filter, "rule", None)
+        return urts(self.model, posteriors, passage.controls, passage.times, rule)
+
+
+@dataclass(frozen=True)
+class MAP(FilterThenSmooth):
+    """Most probable trajectory of the run or of windows of it, by Gauss-Newton (`smoothers.map`).
+
+    Each window starts from the filter's posterior and is fitted to its own measurements, so that a
+    window of one step is an iterated filter and one of the whole run the batch solution.
+
+    Cost per step: the filter's, then as many Jacobians of f and h as iterations, and a sparse
+    solution a run, which is the greater part. Choose it as the reference that no filter beats.
+
+    Attributes:
+        window: s; default the whole run.
+        iterations: most linearizations.
+        tolerance: a run is done when no coordinate moves by more, in its unit.
+    """
+
+    bases: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys((*RTS.bases, *URTS.bases)))
+    window: float | None = None
+    iterations: int = 20
+    tolerance: float = 1e-7
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window is not None:
+            in_range(self, "window", 0.0, low_open=True)
+        whole(self, "iterations", 1)
+        in_range(self, "tolerance", 0.0, low_open=True)
+
+    def smooth(self, passage: Passage) -> list[Gaussian]:
+        """Window after window."""
+        filtered, times = self._gaussians(passage.beliefs), np.asarray(passage.times)
+        smoothed = []
+        first = 0
+        while first < len(times) - 1:
+            end = np.inf if self.window is None else times[first] + self.window + 1e-9
+            last = max(int(np.searchsorted(times, end, "right")) - 1, first + 1)
+            part = slice(first, last + 1)
+            fit = map_estimate(
+                self.model, filtered[first], passage.controls[first:last], passage.times[part],
+                # The filter has fused the first ones already.
+                [[], *passage.measurements[first + 1 : last + 1]],
+                start=[belief.mean for belief in filtered[part]],
+                iterations=self.iterations, tolerance=self.tolerance,
+            )  # fmt: skip
+            smoothed += fit.beliefs[: None if last == len(times) - 1 else -1]
+            first = last
+        return smoothed
+
+
+def _fault(belief: Any, runs: int) -> NDArray[np.uint8]:
+    """The belief's faults `(run,)`, if it keeps any."""
+    fault = getattr(belief, "fault", None)
+    return np.zeros(runs, np.uint8) if fault is None else fault
