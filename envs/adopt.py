@@ -1,4 +1,4 @@
-"""A Gymnasium environment's MuJoCo model as a filter may use it: a copy, with sensors added to it."""
+"""A Gymnasium environment's MuJoCo model as a filter may use it: a copy, with sensors added."""
 
 import copy
 import re
@@ -22,7 +22,8 @@ from estbench.sensors import Channel
 
 # MuJoCo attaches these to a site only.
 _AT_SITES = (
-    "gyro", "accelerometer", "velocimeter", "magnetometer", "force", "torque", "touch", "rangefinder",
+    "gyro", "accelerometer", "velocimeter", "magnetometer", "force", "torque", "touch",
+    "rangefinder",
 )  # fmt: skip
 # Integer fields that a program may set on a compiled model; the rest are addresses and counts.
 _SETTINGS = re.compile(r"(contype|conaffinity|condim|priority|limited|gravcomp|active0)$")
@@ -53,7 +54,7 @@ def mujoco_parts(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """
     base = env.unwrapped
     model, data = getattr(base, "model", None), getattr(base, "data", None)
-    if not isinstance(model, mujoco.MjModel) or not isinstance(data, mujoco.MjData):
+    if not (isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData)):
         raise EnvError(
             f"{type(base).__name__} is not a MuJoCo environment: its unwrapped needs a `model` "
             "(mujoco.MjModel) and a `data` (mujoco.MjData); for a robot of your own use "
@@ -96,12 +97,13 @@ def adopt(
     copied = _with_sensors(model, added, _file(env, xml)) if added else _bare_copy(model)
     channels, assumed = channels_of.build(copied, sections, use, frame_skip)
     for channel in channels:
-        if channel.timing.period % frame_skip or channel.timing.phase % frame_skip:
-            step = frame_skip * model.opt.timestep
+        period, first = channel.timing.period, channel.timing.phase or channel.timing.period
+        if period % frame_skip or first % frame_skip:
+            rate = 1 / (frame_skip * model.opt.timestep)
             raise ScenarioError(
-                f"sensors.{channel.name}.rate: a reading every {channel.timing.period} physics steps, "
-                f"the first after {channel.timing.phase or channel.timing.period}, falls inside a step "
-                f"of the environment ({frame_skip}); use a rate of {1 / step:g} Hz over a whole number"
+                f"sensors.{channel.name}.rate: a reading every {period} physics steps, the first "
+                f"after {first}, falls inside a step of the environment ({frame_skip}); use a rate "
+                f"of {rate:g} Hz over a whole number"
             )
     if notices:  # the default sensors: one line says it all
         std = [f"{c.name} ({np.sqrt(c.cov[0, 0]):g} {c.space.units[0]})" for c in channels]
@@ -113,8 +115,9 @@ def _file(env: Any, xml: str | Path | None) -> str:
     path = xml if xml is not None else getattr(env.unwrapped, "fullpath", None)
     if path is None:
         raise EnvError(
-            f"{type(env.unwrapped).__name__} does not say which MJCF it was made from, so no sensor "
-            "can be added; pass xml='path/to/model.xml', or use sensors that the model declares"
+            f"{type(env.unwrapped).__name__} does not say which MJCF it was made from, so "
+            "no sensor can be added; pass xml='path/to/model.xml', or use sensors that the model "
+            "declares"
         )
     return str(path)
 
@@ -136,8 +139,8 @@ def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) ->
         if getattr(compiled, size) != getattr(model, size):
             raise EnvError(
                 f"{path} has {size} = {getattr(compiled, size)} and the environment's model "
-                f"{getattr(model, size)}: the environment changed its MJCF; pass the changed one as "
-                "xml=..., or declare the sensors in it"
+                f"{getattr(model, size)}: the environment changed its MJCF; pass the changed one "
+                "as xml=..., or declare the sensors in it"
             )
     _copy_parameters(model, compiled)
     return compiled
@@ -219,9 +222,7 @@ def _copy_parameters(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
 def _at_site(add: Any) -> Any:
     """A sensor that needs a site, asked for at a body: at a site to be made at its origin."""
     if add.type in _AT_SITES and add.object_type in ("body", "xbody"):
-        return add.model_copy(
-            update={"object": f"estbench:{add.object}", "object_type": "site"}
-        )
+        return add.model_copy(update={"object": f"estbench:{add.object}", "object_type": "site"})
     return add
 
 

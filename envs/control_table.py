@@ -31,10 +31,10 @@ def render(comparison: Comparison) -> Group:
             Text(f"{failures}/{runs}", style="red" if failures else ""),
         )
     caption = (
-        "cost is the task's, mean a step, of the runs that did not fail; minus truth and minus raw\n"
-        "are paired differences (same robot, same noise) over the runs that failed with neither;\n"
-        f"± is the {comparison.level:.0%} interval across runs. A failed run left the task's bounds or\n"
-        "blew up. raw: coordinates read off the sensors, other velocities differenced."
+        "cost is the task's, mean a step, of the runs that did not fail. minus truth, minus raw:\n"
+        "paired differences (same robot, same noise) over the runs that failed with neither.\n"
+        f"± is the {comparison.level:.0%} interval across runs. A failed run left the bounds\n"
+        "or blew up. raw: coordinates read off the sensors, other velocities differenced."
     )
     return Group(Text(title, style="bold"), table, Text(caption, style="dim italic"))
 

@@ -1,4 +1,4 @@
-"""One estimator on many robots, of which any may start anew: the filter bank of all environments."""
+"""One estimator on many robots, any of which may start anew: the filter bank of environments."""
 
 import inspect
 from collections.abc import Mapping, Sequence

@@ -61,7 +61,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         ghost: bool = True,
     ):
         prepared = prepare(scenario, estimator, sensors, overrides)
-        self.world = World(prepared, 1, estimator is not None)
+        self.world = World(prepared, 1, estimator is not None, look=observe == "raw")
         self._actions = Actions(prepared.plant.model, normalize_actions)
         self.action_space = self._actions.space
         self.observation_space, self._observe = features(observe, self.world.observer)
@@ -89,9 +89,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
             self.render()
         return self._seen()
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """One control period under an action `(nu,)`.
 
         Raises:

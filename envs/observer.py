@@ -33,9 +33,7 @@ class Observer:
         self._high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
         self.t = 0.0
 
-    def reset(
-        self, mask: Mask, keys: Keys, x: Array, u: Array, mean: Array, cov: Array
-    ) -> None:
+    def reset(self, mask: Mask, keys: Keys, x: Array, u: Array, mean: Array, cov: Array) -> None:
         """Start the rows of a mask anew.
 
         Args:
@@ -43,7 +41,8 @@ class Observer:
             keys: random keys of these rows `(mask.sum(),)`.
             x: true states of all rows `(row, nx)`.
             u: controls `(row, nu)`.
-            mean, cov: the prior of all rows `(row, nx)`, `(row, n, n)`.
+            mean: x̂₀ of all rows `(row, nx)`.
+            cov: P₀ of all rows `(row, n, n)`.
         """
         self.readings.start(mask, keys, x, self._clamp(u))
         self.t = self.readings.latest * self._timestep

@@ -67,6 +67,7 @@ class Readings:
         rows: how many robots.
         nthread: threads of the batch.
         quiet: names of channels without white noise, whatever R is believed.
+        look: whether every episode begins with a look at the sensors, kept in `last`.
 
     Attributes:
         channels: sensors in use.
@@ -87,12 +88,13 @@ class Readings:
         rows: int,
         nthread: int = 1,
         quiet: Collection[str] = (),
+        look: bool = True,
     ):
         for c in channels:
             if not c.timing.punctual:
                 raise EnvError(
-                    f"channels.{c.name} has latency or jitter; an environment fuses readings at the "
-                    "time they are due, so set both to 0 here (`estbench run` handles them)"
+                    f"channels.{c.name} has latency or jitter; an environment fuses readings at "
+                    "the time they are due, so set both to 0 here (`estbench run` handles them)"
                 )
         self.channels = tuple(channels)
         self.space = layout.sensor_space(model, [c.index for c in channels])
@@ -105,14 +107,17 @@ class Readings:
         self._timestep = float(model.opt.timestep)
         self._groups = self._grouped(rows, frozenset(quiet))
         self._plans: dict[tuple[int, ...], tuple[NDArray[np.intp], int]] = {}
+        # A stuck sensor repeats what it saw, so it has to have seen something.
+        self._look = look or any(c.part is not None and c.part.stuck for c in channels)
         self.tick = np.zeros(rows, np.int64)
         self.latest, self._together = 0, False
+        self._no_row = np.zeros(rows, bool)
         self.last = np.zeros((rows, self.space.nx))
 
     def start(self, mask: Mask, keys: Keys, x: Array, u: Array) -> None:
         """Begin episodes in the rows of a mask, with a first look at every channel.
 
-        It is kept in `last` for those who use raw readings. A filter is not given it: its first
+        It is for those who use raw readings. A filter is not given it: its first
         measurement comes one period after the start.
 
         Args:
@@ -123,10 +128,16 @@ class Readings:
         """
         self.tick[mask] = 0
         self.latest, self._together = int(self.tick.max()), bool(mask.all())
-        time = self.tick * self._timestep
-        for group, clean in self._clean(tuple(range(len(self._groups))), x, u, 0.0):
+        time = np.asarray(self.tick * self._timestep, np.float64)
+        rows = None if mask.all() else mask
+        seen = (
+            self._clean(tuple(range(len(self._groups))), x, u, 0.0)
+            if self._look or rows is None
+            else [(group, self.last[:, group.point]) for group in self._groups]
+        )
+        for group, clean in seen:
             group.source.start(mask, keys, clean)
-            y, _ = group.source.read(clean, time, mask, keep=False)
+            y, _ = group.source.read(clean, time, rows, keep=False)
             self.last[np.ix_(mask, group.point)] = y[mask]
 
     def stride(self, steps: int) -> int:
@@ -151,14 +162,14 @@ class Readings:
         self.tick += steps if mask is None else steps * mask
         self._together = self._together and mask is None
         self.latest = self.latest + steps if self._together else int(self.tick.max())
-        due = [self._due(group, mask) for group in self._groups]
-        taking = tuple(i for i, d in enumerate(due) if d is not False)
-        if not taking:
+        due = {i: self._due(group, mask) for i, group in enumerate(self._groups)}
+        due = {i: rows for i, rows in due.items() if rows is None or rows.any()}
+        if not due:
             return None
-        time, parts = self.tick * self._timestep, []
-        for i, (group, clean) in zip(taking, self._clean(taking, x, u, self.latest * self._timestep)):
-            rows = due[i] if isinstance(due[i], np.ndarray) else None
-            y, arrives = group.source.read(clean, time, rows)
+        time = np.asarray(self.tick * self._timestep, np.float64)
+        clean, parts = self._clean(tuple(due), x, u, self.latest * self._timestep), []
+        for rows, (group, true) in zip(due.values(), clean):
+            y, arrives = group.source.read(true, time, rows)
             here = rows if arrives is None else arrives if rows is None else rows & arrives
             if here is None:
                 self.last[:, group.point] = y
@@ -193,17 +204,17 @@ class Readings:
             arrived = np.concatenate(columns, axis=1)
         return Reading(y, tuple(self.channels[i].name for i in order), arrived)
 
-    def _due(self, group: _Group, mask: Mask | None) -> Mask | bool:
-        """Rows in which a group is due; True for all, False for none."""
+    def _due(self, group: _Group, mask: Mask | None) -> Mask | None:
+        """Rows in which a group is due; None for all."""
         first = group.phase or group.period
         if self._together:
-            since = self.latest - first
-            return since >= 0 and since % group.period == 0
-        late = self.tick - first
-        due = (late >= 0) & (late % group.period == 0)
+            late = self.latest - first
+            return None if late >= 0 and late % group.period == 0 else self._no_row
+        since = self.tick - first
+        due = (since >= 0) & (since % group.period == 0)
         if mask is not None:
             due &= mask
-        return True if due.all() else due if due.any() else False
+        return None if due.all() else due
 
     def _clean(
         self, groups: tuple[int, ...], x: Array, u: Array, t: float

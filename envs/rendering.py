@@ -152,7 +152,7 @@ class GhostRenderer:
 
 
 def tracked_bodies(model: mujoco.MjModel) -> list[int]:
-    """Bodies whose position is drawn as an ellipsoid: those on free joints, else the last of chains."""
+    """Bodies whose position gets an ellipsoid: those on free joints, else the last of chains."""
     free = model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
     if free.any():
         return [int(b) for b in model.jnt_bodyid[free]]

@@ -60,9 +60,7 @@ def vector_info(info: dict[str, Array], mask: Mask) -> dict[str, Any]:
     return out
 
 
-def add_final(
-    info: dict[str, Any], over: Mask, observations: Array, final: dict[str, Any]
-) -> None:
+def add_final(info: dict[str, Any], over: Mask, observations: Array, final: dict[str, Any]) -> None:
     """What ended in this step (same-step autoreset): `final_obs` and `final_info` of those rows."""
     last = np.full(len(over), None, dtype=object)
     for row in np.flatnonzero(over):

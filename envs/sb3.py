@@ -117,7 +117,7 @@ class BatchVecEnv(VecEnv):
         """No row is wrapped."""
         return [False] * len(self._chosen(indices))
 
-    def _chosen(self, indices: None | int | Iterable[int]) -> list[int]:
+    def _chosen(self, indices: int | Iterable[int] | None) -> list[int]:
         return list(self._get_indices(indices))
 
     def _rows(self, info: dict[str, Any]) -> list[dict[str, Any]]:

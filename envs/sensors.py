@@ -1,4 +1,4 @@
-"""Sensors for an environment that has none: as tables, in Python or TOML, without touching an XML."""
+"""Sensors for an environment that has none: tables, in Python or TOML; no XML is touched."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -102,7 +102,9 @@ def sections(
 
 def _joints(model: mujoco.MjModel) -> list[tuple[str, int]]:
     kind = mujoco.mjtObj.mjOBJ_JOINT
-    return [(object_name(model, kind, j, "joint"), int(model.jnt_type[j])) for j in range(model.njnt)]
+    return [
+        (object_name(model, kind, j, "joint"), int(model.jnt_type[j])) for j in range(model.njnt)
+    ]
 
 
 def _entry(sensor: str, name: str, kind: str, noise: float | None) -> dict[str, Any]:

@@ -79,7 +79,8 @@ class Task:
 
     def outside(self, x: Array) -> NDArray[np.bool_]:
         """Rows whose state is out of bounds or not finite `(row,)`."""
-        return ~(np.abs(self.plant.space.minus(x, self.goal)) <= self.bounds).all(axis=-1)
+        near = np.abs(self.plant.space.minus(x, self.goal)) <= self.bounds
+        return np.logical_not(near.all(axis=-1))
 
     def reward(self, x: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Reward and whether the episode ends there `(row,)`.

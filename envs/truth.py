@@ -78,7 +78,8 @@ class TruthRows:
             white = self._noise.draw(mask)
             scale = np.sqrt(dt) if noise.kind == "additive" else 1 / np.sqrt(dt)
             if noise.schedule is not None:
-                scale = scale * np.sqrt([[noise.at(float(now))] for now in t[:, 0]])
+                factors = [[noise.at(float(now))] for now in t[:, 0]]
+                scale = scale * np.sqrt(np.array(factors))
             # A stack of small products, as above.
             w = scale * (noise.factor @ white[..., None])[..., 0]
             if noise.kind == "force":

@@ -1,4 +1,4 @@
-"""The environment's own observation, computed at an estimated state on a twin of the environment."""
+"""The environment's own observation at an estimated state, from a twin of the environment."""
 
 import copy
 from typing import Any

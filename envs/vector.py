@@ -62,13 +62,17 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         if num_envs < 1:
             raise EnvError(f"num_envs is {num_envs}; use at least 1")
         if autoreset_mode not in MODES:
-            raise EnvError(f"autoreset_mode is '{autoreset_mode}'; use one of NextStep, SameStep, Disabled")
+            raise EnvError(
+                f"autoreset_mode is '{autoreset_mode}'; use one of NextStep, SameStep, Disabled"
+            )
         if render_mode not in (None, "rgb_array"):
             raise EnvError(f"render_mode is '{render_mode}'; a vector has 'rgb_array' or None")
         prepared = prepare(scenario, estimator, sensors, overrides)
         threads = nthread or cpus()
         self.num_envs = num_envs
-        self.world = World(prepared, num_envs, estimator is not None, threads)
+        self.world = World(
+            prepared, num_envs, estimator is not None, threads, look=observe == "raw"
+        )
         if max_episode_steps is not None:
             self.world.limit(max_episode_steps)
         self._actions = Actions(prepared.plant.model, normalize_actions)
@@ -113,7 +117,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         if not self._started and not mask.all():
             raise EnvError("reset_mask leaves out rows that have not started; reset all rows first")
         for row in np.flatnonzero(mask):
-            self._keys.seed(row, seeds[row])
+            self._keys.seed(int(row), seeds[row])
         self._restart(mask)
         self._started = True
         return self._observe(self.world.truth.x), self._info(mask)

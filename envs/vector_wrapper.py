@@ -27,7 +27,7 @@ _log = logging.getLogger("estbench")
 
 
 class VectorEstimatedObservation(VectorWrapper):
-    """`EstimatedObservation` for `SyncVectorEnv` and `AsyncVectorEnv`: one filter bank for all rows.
+    """`EstimatedObservation` for `SyncVectorEnv`, `AsyncVectorEnv`: one filter bank for all rows.
 
     Row i with seed s sees what `EstimatedObservation` sees with seed s + i. The filters use the
     first environment's model. Rows whose episode ends start their filter anew, in every autoreset
@@ -101,7 +101,7 @@ class VectorEstimatedObservation(VectorWrapper):
         mask, seeds = reset_mask(options, self.num_envs), row_seeds(seed, self.num_envs)
         _, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
         for row in np.flatnonzero(mask):
-            self._keys.seed(row, seeds[row])
+            self._keys.seed(int(row), seeds[row])
         states = self._states(info)
         self._restart(mask, states)
         return self._shown.copy(), {**info, **self._info(states, mask)}

@@ -1,4 +1,4 @@
-"""Sensors and filters for environments that are not ours: what both wrappers do with true states."""
+"""Sensors and filters for environments not our own: what both wrappers do with true states."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -58,7 +58,9 @@ class Watch:
         self.space = layout.state_space(adopted.model)
         std = expand(initial_std, self.space.names, "initial_std")
         if not (std >= 0).all():
-            raise CovarianceError(f"initial_std is {std.min():g}; a standard deviation is at least 0")
+            raise CovarianceError(
+                f"initial_std is {std.min():g}; a standard deviation is at least 0"
+            )
         self._std, self._cov = std, np.repeat(np.diag(std**2)[None], rows, axis=0)
         readings = Readings(adopted.model, adopted.channels, rows, nthread, adopted.quiet)
         bank = None
@@ -150,6 +152,4 @@ def _disturbance(model: Any, space: Any, given: float | Mapping[str, Any]) -> Di
     kind = given.get("kind", "additive")
     if kind not in kinds:
         raise EnvError(f"process_noise.kind is '{kind}'{did_you_mean(str(kind), kinds)}")
-    return Disturbance.build(
-        model, space, kind, given.get("density", 0.0), given.get("matrix")
-    )
+    return Disturbance.build(model, space, kind, given.get("density", 0.0), given.get("matrix"))

@@ -22,7 +22,7 @@ from estbench.models import mjcf
 
 Array = NDArray[np.float64]
 Estimator = str | Mapping[str, Any] | None
-"""A label of the scenario, a name, `package.module:Name`, a table of settings with `type`, or none."""
+"""A scenario's label, a name, `package.module:Name`, a table of settings with `type`, or none."""
 
 
 def prepare(
@@ -68,6 +68,7 @@ class World:
         rows: how many robots.
         filtered: whether there is a filter at all.
         nthread: threads of the batches.
+        look: whether raw readings are wanted from the start of an episode on.
 
     Attributes:
         observer: sensors and filters.
@@ -77,25 +78,29 @@ class World:
     """
 
     def __init__(
-        self, prepared: setup.Setup, rows: int, filtered: bool = True, nthread: int = 1
+        self,
+        prepared: setup.Setup,
+        rows: int,
+        filtered: bool = True,
+        nthread: int = 1,
+        look: bool = False,
     ):
         self.setup, self.rows = prepared, rows
         scenario, plant = prepared.scenario, prepared.plant
         self.task = Task.build(scenario, plant)
         self.truth = TruthRows(prepared, rows, nthread)
-        readings = Readings(plant.model, prepared.channels, rows, nthread)
+        readings = Readings(plant.model, prepared.channels, rows, nthread, look=look)
         bank = None
         if filtered:
-            label, settings = next(iter(scenario.estimators.items()))
-            estimator = registry.create(label, settings, prepared.model(nthread))
+            label = next(iter(scenario.estimators))
+            # A fit of the first readings needs the event loop: here every start is the prior.
+            estimator = registry.create(label, prepared.settings(label), prepared.model(nthread))
             threshold = scenario.consistency.divergence_threshold
             bank = FilterBank(estimator, prepared.space, readings.slots, rows, threshold)
         self._stride = readings.stride(plant.nstep)
         self.observer = Observer(plant.model, readings, bank)
-        self._prior = (
-            np.repeat(prepared.mean[None], rows, axis=0),
-            np.repeat(prepared.cov[None], rows, axis=0),
-        )
+        mean, cov = prepared.prior(next(iter(scenario.estimators)))
+        self._prior = np.repeat(mean[None], rows, axis=0), np.repeat(cov[None], rows, axis=0)
         self.u = np.repeat(plant.u0[None], rows, axis=0)
 
     @property

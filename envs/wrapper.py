@@ -28,7 +28,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
     """Shows a policy what a filter makes of noisy sensors, in place of the true state.
 
     The environment itself is untouched: its trajectory for a seed and actions is the same, to the
-    last bit, with and without the wrapper. The filter's belief starts at N(x₀ ⊟ e, P₀), e ~ N(0, P₀).
+    last bit, with and without the wrapper. The filter starts at an x̂₀ with x₀ ⊖ x̂₀ ~ N(0, P₀).
 
     Args:
         env: any environment whose `unwrapped` has `model` and `data` of MuJoCo.

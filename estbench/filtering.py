@@ -20,6 +20,7 @@ from estbench.controllers import Controller
 from estbench.errors import DimensionError
 from estbench.estimators.base import Estimator, Fault, Measurement, Passage, Smoother
 from estbench.inbox import Inbox
+from estbench.lags import Lags
 from estbench.linalg import quadratic_form
 from estbench.manifold import Manifold
 from estbench.readings import Delivery
@@ -115,7 +116,8 @@ class Traces:
         nees: `(K + 1, run)`.
         nis: `(K, run)`, NaN where nothing arrived.
         dof: `(K, run)`, how many components arrived.
-        lag_one: per run, the mean over its updates of ν̃ₖ·ν̃ₖ₋₁/m with whitened innovations ν̃.
+        lags: sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations ν̃ `(run, LAGS + 1)`.
+        lag_terms: how many products of two numbers are in each `(run, LAGS + 1)`.
         fault: `Fault` a run.
         fault_step: index of the instant at which it failed, -1 for none.
         late: per run, readings that came after the window and were not fused.
@@ -130,12 +132,19 @@ class Traces:
     nees: Array
     nis: Array
     dof: NDArray[np.int64]
-    lag_one: Array
+    lags: Array
+    lag_terms: NDArray[np.int64]
     fault: NDArray[np.uint8]
     fault_step: NDArray[np.int64]
     late: NDArray[np.int64]
     cpu_time: float
     cov: Array | None = None
+
+    @property
+    def lag_one(self) -> Array:
+        """Lag-one correlation of the whitened innovations `(run,)`, NaN without two of them."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.lags[:, 1] / self.lag_terms[:, 1]
 
 
 def run_filter(
@@ -219,7 +228,7 @@ class _Fusion:
         self.nis = np.full((len(instants), runs), np.nan)
         self.dof = np.zeros((len(instants), runs), np.int64)
         self.late = np.zeros(runs, np.int64)
-        self.whiteness = _LagOne(runs)
+        self.whiteness = Lags(runs)
         self.past: Passage | None = None
 
     def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
@@ -273,7 +282,7 @@ class _Fusion:
             self.nis[k] += innovation.nis
             self.dof[k] += innovation.dof
             if np.any(innovation.dof):
-                self.whiteness.put(k, layer, joint.channels, innovation.white)
+                self.whiteness.put(k, layer, joint.channels, innovation.white, joint.mask)
         if joints:
             self.nis[k, self.dof[k] == 0] = np.nan
         if self.past is not None:  # a replay writes over what it changes
@@ -300,33 +309,6 @@ def _passage(start: Any, ends: list[float]) -> Passage:
     """One to be filled in."""
     count = len(ends)
     return Passage([start] * (count + 1), [np.empty(0)] * count, [0.0, *ends], [[]] * (count + 1))
-
-
-class _LagOne:
-    """Mean product of successive whitened innovations of the same channels, once they are final."""
-
-    def __init__(self, runs: int):
-        self._open: dict[tuple[int, int], tuple[tuple[str, ...], Array]] = {}
-        self._last: dict[tuple[str, ...], Array] = {}
-        self._sum, self._count = np.zeros(runs), 0
-
-    def put(self, instant: int, layer: int, channels: tuple[str, ...], white: Array) -> None:
-        """Note an innovation; a replay of the same instant replaces it."""
-        self._open[instant, layer] = (channels, white)
-
-    def settle(self, before: int) -> None:
-        """Count the innovations of instants that no replay can change any more."""
-        for key in sorted(k for k in self._open if k[0] < before):
-            channels, white = self._open.pop(key)
-            if white.shape[-1] and channels in self._last:
-                self._sum += (white * self._last[channels]).mean(axis=-1)
-                self._count += 1
-            self._last[channels] = white
-
-    def mean(self) -> Array:
-        """The correlation `(run,)`, NaN when there were fewer than two innovations."""
-        self.settle(np.iinfo(np.int64).max)
-        return self._sum / self._count if self._count else np.full(len(self._sum), np.nan)
 
 
 class _Recorder:
@@ -377,8 +359,9 @@ class _Recorder:
 
     def traces(self, fusion: _Fusion, cpu_time: float) -> Traces:
         """What was recorded."""
+        lags, lag_terms = fusion.whiteness.finish()
         return Traces(
             truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
-            nis=fusion.nis, dof=fusion.dof, lag_one=fusion.whiteness.mean(), fault=self._fault,
+            nis=fusion.nis, dof=fusion.dof, lags=lags, lag_terms=lag_terms, fault=self._fault,
             fault_step=self._fault_step, late=fusion.late, cpu_time=cpu_time, cov=self._cov,
         )  # fmt: skip

@@ -78,11 +78,11 @@ def render_check(resolved: scenario.Scenario) -> Group:
         std = np.unique(np.sqrt(np.diag(channel.cov)))
         sensors.add_row(
             channel.name,
-            layout.sensor_type(model, channel.index),
+            channel.kind,
             " ".join(f"{s:.3g}" for s in std),
             channel.space.units[0],
             f"{1 / (channel.period * model.opt.timestep):g} Hz",
-            STAGES[model.sensor_needstage[channel.index]],
+            STAGES[max((model.sensor_needstage[i] for i in channel.source.sensors), default=0)],
         )
     control = resolved.control
     lines = [
@@ -120,10 +120,9 @@ def _warnings(prepared: setup.Setup) -> list[str]:
             warnings.append(
                 f"sensor '{sensor.name}' has interval but nsample = 0: MuJoCo ignores the interval"
             )
-        if sensor.nsample > 0 or sensor.delay > 0:
+        if sensor.delay > 0 and int(sensor.interp):
             warnings.append(
-                f"sensor '{sensor.name}': MJCF delay and nsample are not simulated; set "
-                f"channels.{sensor.name}.rate for its rate"
+                f"sensor '{sensor.name}' interpolates its history: estbench delivers the samples"
             )
     with engine():
         hidden = observability.unseen(

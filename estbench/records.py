@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.analysis import coverage
+from estbench.analysis.coverage import SIGMAS
 from estbench.consistency import diverged_runs
 from estbench.filtering import Traces
+from estbench.lags import LAGS
 from estbench.scenario import ConsistencySection
 
 Array = NDArray[np.float64]
@@ -34,6 +37,10 @@ SUMMARY = {
     "mse": Field((*RUN, "coordinate"), "f8", "time average of the squared error, (unit)²"),
     "variance": Field((*RUN, "coordinate"), "f8", "time average of the filter's variance, (unit)²"),
     "lag_one": Field(RUN, "f8", "lag-one correlation of the whitened innovations"),
+    **{
+        f"inside_{k}": Field((*RUN, "coordinate"), "f8", f"share of the steps with |error| <= {k}σ")
+        for k in SIGMAS
+    },
     "fault": Field(
         RUN, "u1", "why the run failed (estbench.estimators.base.Fault), 0 = it did not"
     ),
@@ -47,6 +54,13 @@ SUMMARY = {
     "square_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the squared error, (unit)²"),
     "variance_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the variance, (unit)²"),
 }
+LAGGED = {
+    "lags": Field((*RUN, "lag"), "f8", "sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations"),
+    "lag_terms": Field((*RUN, "lag"), "i8", "how many products of two numbers are in each"),
+}
+"""Recorded where SUMMARY holds them: a store's template must then know `SIZES`."""
+SIZES = {"lag": LAGS + 1}
+"""Dimensions that are the same whatever the scenario."""
 COST = {"cpu_time": Field(RUN, "f8", "core time of predict and update, s")}
 """Measured, so not a function of the scenario: kept beside the store, not in it."""
 DIAGONAL = {
@@ -90,6 +104,7 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
         anis = np.where(updates > 0, ratio.sum(axis=0) / np.maximum(updates, 1), np.nan)
     # A run whose every value is NaN has failed; NaN is the honest average.
     square, variance = traces.error**2, traces.std**2
+    inside = coverage.inside(traces.error[settled], traces.std[settled])
     nis = np.concatenate([np.full((1, len(good)), np.nan), traces.nis])
     dof = np.concatenate([np.zeros((1, len(good)), np.int64), traces.dof])
     record: Record = {
@@ -98,6 +113,7 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
         "mse": square[settled].mean(axis=0),
         "variance": variance[settled].mean(axis=0),
         "lag_one": traces.lag_one,
+        **{f"inside_{k}": inside[..., i] for i, k in enumerate(SIGMAS)},
         "fault": traces.fault,
         "fault_step": traces.fault_step,
         "diverged": diverged,
@@ -110,6 +126,7 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
         "square_sum": square[:, good].sum(axis=1)[None],
         "variance_sum": variance[:, good].sum(axis=1)[None],
     }
+    record |= {name: getattr(traces, name) for name in LAGGED if name in SUMMARY}
     if keep != "summary":
         for name, value in (
             ("estimate", traces.mean), ("error", traces.error), ("std", traces.std),

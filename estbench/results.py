@@ -102,6 +102,7 @@ class Results:
                     "anis_over_m": _plain(s.anis),
                     "innovation_lag_one": _plain(s.lag_one),
                     "diverged_share": s.diverged,
+                    "diverged_interval": _plain(s.diverged_interval),
                     "cost_us_per_run_step": s.cost,
                     "rmse": {
                         name: {"unit": unit, **_plain(i), "median": _number(m), "sigma": _number(d)}

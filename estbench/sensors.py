@@ -55,8 +55,16 @@ class Channel:
 
     @property
     def index(self) -> int:
-        """The (first) MuJoCo sensor, -1 for a function."""
-        return self.source.sensors[0] if self.source.sensors else -1
+        """The MuJoCo sensor of a channel that is one.
+
+        Raises:
+            ScenarioError: it is several together, or a function of the state.
+        """
+        if len(self.source.sensors) != 1:
+            raise ScenarioError(
+                f"channels.{self.name} is no single MuJoCo sensor, which is all that this knows"
+            )
+        return self.source.sensors[0]
 
     @property
     def period(self) -> int:

@@ -96,6 +96,7 @@ class Setup:
             self.filter_disturbance,
             Differences(section.differences, section.step),
             nthread,
+            self.plant.u0,
         )
 
     @property
@@ -427,7 +428,8 @@ def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
             f"{label}: window is {inner.window:g} s but the run only {end:g} s; shorten it, or "
             "leave it out for the whole run"
         )
-    if isinstance(inner, AdaptiveEKF) and inner.window > arrivals:
+    asked = "window" in setup.settings(label)  # the default may look beyond a short run
+    if isinstance(inner, AdaptiveEKF) and asked and inner.window > arrivals:
         raise EstimatorError(
             f"{label}: window is {inner.window} arrivals but the run has {arrivals}; shorten it"
         )

@@ -7,6 +7,7 @@ Needs the extra `sb3`. On 2 cores it takes a few minutes:
 
 import argparse
 import time
+from typing import Any
 
 import numpy as np
 from stable_baselines3 import PPO
@@ -23,7 +24,7 @@ def evaluate(model: PPO, training: VecNormalize, observe: str, episodes: int = 1
     """Return and length of one deterministic episode of each of many robots, as text."""
     env = BatchVecEnv(ID, episodes, observe=observe)
     env.seed(10_000)
-    observations = env.reset()
+    observations: Any = env.reset()
     total, steps = np.zeros(episodes), np.zeros(episodes)
     running = np.ones(episodes, bool)
     while running.any():

@@ -15,11 +15,13 @@ from estbench.models.layout import sensor_name, sensor_space, state_space
 from estbench.models.linear import LinearModel
 from estbench.models.mujoco import MujocoModel, SensorChannel
 
-ESTIMATORS = sorted(registry.known())
-SAMPLED = {"enkf", "particle", "pf"}  # their moments err by 1/sqrt(size)
-CONTINUOUS = {"cd_ekf", "cdekf"}  # they need a ContinuousModel
+SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
+CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
+PEERS = {"filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"}  # slow, and optional
+OTHER = {"imm", "robust_ekf", "adaptive_ekf"}  # they depart from the Kalman filter on purpose
+ESTIMATORS = sorted(registry.BUILTIN.keys() - PEERS)
 DISCRETE = [name for name in ESTIMATORS if name not in CONTINUOUS]
-EXACT = [name for name in DISCRETE if name not in SAMPLED]
+EXACT = [name for name in DISCRETE if name not in SAMPLED | OTHER]
 """Estimators that on a linear-Gaussian model are the Kalman filter."""
 
 JOINTS = """

@@ -85,7 +85,6 @@ class InPlace(Plain):
         return super().update(belief, y, u, t, channels)
 
 
-@pytest.mark.xfail(reason="prior and readings are shared between the estimators")
 def test_an_estimator_that_overwrites_its_arguments_spoils_no_other():
     alone = run(estimators=["ekf"])
     both = run(estimators=[f"{__name__}:InPlace", "ekf"])

@@ -22,7 +22,8 @@ def traces(runs=6, steps=4, n=2, seed=0, spread=1.0):
     mean = rng.standard_normal(error.shape)
     return Traces(
         truth=mean + error, mean=mean, error=error, std=np.ones_like(error) * rng.uniform(1, 2, n),
-        nees=(error**2).sum(axis=-1), nis=nis, dof=dof, lag_one=rng.normal(0, 0.1, runs),
+        nees=(error**2).sum(axis=-1), nis=nis, dof=dof,
+        lags=rng.normal(0, 1, (runs, 3)), lag_terms=np.tile([9, 8, 7], (runs, 1)),
         fault=np.zeros(runs, np.uint8), fault_step=np.full(runs, -1), late=np.arange(runs),
         cpu_time=6e-3,
         cov=np.tile(np.eye(n), (steps + 1, runs, 1, 1)),
@@ -41,7 +42,7 @@ def fail(whole, run, step):
 
 def part(whole, runs):
     values = {
-        name: value[runs] if value.ndim == 1 else value[:, runs]
+        name: value[runs] if value.ndim == 1 or "lag" in name else value[:, runs]
         for name, value in vars(whole).items()
         if isinstance(value, np.ndarray)
     }
@@ -65,7 +66,10 @@ def test_averages_of_a_run_by_hand():
         assert record["anis"][run] == pytest.approx((t.nis[2, run] + t.nis[3, run]) / 2 / 2)
         np.testing.assert_allclose(record["mse"][run], (t.error[settled, run] ** 2).mean(axis=0))
         np.testing.assert_allclose(record["variance"][run], (t.std[settled, run] ** 2).mean(axis=0))
-    np.testing.assert_array_equal(record["lag_one"], t.lag_one)
+    np.testing.assert_allclose(record["lag_one"], t.lags[:, 1] / 8)
+    for k in (1, 2, 3):
+        share = (np.abs(t.error[settled]) <= k * t.std[settled]).mean(axis=0)
+        np.testing.assert_allclose(record[f"inside_{k}"], share)
     np.testing.assert_allclose(record["cpu_time"], 1e-3)
 
 
@@ -160,22 +164,28 @@ def test_summary_by_hand():
     summary = summarize(record)
     assert (summary.label, summary.runs) == ("ekf", 7)
     assert summary.diverged == pytest.approx(1 / 7)
-    t = stats.t.ppf(0.975, 5)
-    for interval, values in (
-        (summary.anees, record["anees"]),
-        (summary.anis, record["anis"]),
-        (summary.lag_one, record["lag_one"]),
-    ):
-        half = t * values[good].std(ddof=1) / np.sqrt(6)
-        expected = [values[good].mean() + side * half for side in (0, -1, 1)]
-        assert [interval.value, interval.low, interval.high] == pytest.approx(expected)
+
+    def wilson_hilferty(values):
+        c2 = values.var(ddof=1) / values.mean() ** 2
+        half = stats.t.ppf(0.975, 5 / (1 + c2)) * np.sqrt(c2 / 54)
+        return [values.mean() / (1 - c2 / 54 + side * half) ** 3 for side in (1, -1)]
+
+    for interval, name in ((summary.anees, "anees"), (summary.anis, "anis")):
+        values = record[name][good]
+        assert interval.value == pytest.approx(values.mean())
+        assert [interval.low, interval.high] == pytest.approx(wilson_hilferty(values))
+    values = record["lag_one"][good]
+    half = stats.t.ppf(0.975, 5) * values.std(ddof=1) / np.sqrt(6)
+    expected = [values.mean() + side * half for side in (0, -1, 1)]
+    got = [summary.lag_one.value, summary.lag_one.low, summary.lag_one.high]
+    assert got == pytest.approx(expected)
+    share = summary.diverged_interval
+    assert (share.low, share.high) == pytest.approx((0.02568, 0.51313), abs=1e-5)
     for i in range(2):
         mse = record["mse"][good, i]
-        half = t * mse.std(ddof=1) / np.sqrt(6)
         got = summary.rmse[i]
         assert got.value == pytest.approx(np.sqrt(mse.mean()))
-        assert got.high == pytest.approx(np.sqrt(mse.mean() + half))
-        assert got.low == pytest.approx(np.sqrt(max(mse.mean() - half, 0.0)))
+        assert [got.low, got.high] == pytest.approx(np.sqrt(wilson_hilferty(mse)))
         assert summary.std[i] == pytest.approx(np.sqrt(record["variance"][good, i].mean()))
         # The median counts the failed run as infinitely bad: the 4th of 6 finite and one infinite.
         assert summary.rmse_median[i] == pytest.approx(np.sqrt(np.sort(mse)[3]))

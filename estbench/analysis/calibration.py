@@ -26,7 +26,7 @@ ROWS = 20_000
 def oscillator(dt: float = 0.1) -> LinearModel:
     """A damped oscillator of 1 Hz shaken by a white force; its position is measured."""
     w, zeta = 2 * np.pi, 0.1
-    A: Array = expm(np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]]) * dt)
+    A = np.asarray(expm(np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]]) * dt), np.float64)
     return LinearModel(A, np.array([[1.0, 0.0]]), np.diag([1e-4, 0.1]), np.array([[0.01]]))
 
 
@@ -34,8 +34,13 @@ def vehicle(dt: float = 0.1) -> LinearModel:
     """Nearly constant velocity in the plane (Bar-Shalom et al. 2001, sec. 6.3.2), seen in both."""
     block: Array = np.array([[1.0, dt], [0.0, 1.0]])
     noise: Array = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    C = np.kron(np.eye(2), [[1.0, 0.0]])
-    return LinearModel(np.kron(np.eye(2), block), C, np.kron(np.eye(2), noise), 0.25 * np.eye(2))
+    A, C, Q = (_twice(a) for a in (block, np.array([[1.0, 0.0]]), noise))
+    return LinearModel(A, C, Q, 0.25 * np.eye(2))
+
+
+def _twice(a: Array) -> Array:
+    """The matrix of two axes that do not touch each other."""
+    return np.asarray(np.kron(np.eye(2), a), np.float64)
 
 
 def averages(

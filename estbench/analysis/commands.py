@@ -1,5 +1,7 @@
 """The commands `compare` and `reproduce`; what they need is imported when they run."""
 
+import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +12,7 @@ from rich.console import Console
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
     app.command(epilog="Example: estbench compare results/a results/b --format markdown")(compare)
+    app.command(epilog="Example: estbench reproduce --runs 200")(reproduce)
 
 
 def compare(
@@ -29,9 +32,24 @@ def compare(
     from estbench.analysis.compare import compare_stores
 
     formats.check(format_)
-    found = formats.render(compare_stores(folders, margin, precision), format_)
-    if isinstance(found, str):
-        print(found.rstrip("\n"))
-        return
-    console = Console(highlight=False)
-    (console if console.is_terminal else Console(highlight=False, width=100)).print(found)
+    console = Console()
+    width = console.width if console.is_terminal else 100
+    print(formats.render(compare_stores(folders, margin, precision), format_, width).rstrip("\n"))
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option(help="folder of leaderboard.md and .csv")] = Path("results"),
+    runs: Annotated[int | None, typer.Option(help="of each robot")] = None,
+    robot: Annotated[
+        list[str] | None, typer.Option(help="bundled scenario; repeatable; default all")
+    ] = None,
+) -> None:
+    """Make the reference results again: every bundled robot and every main estimator."""
+    from estbench.analysis import leaderboard
+
+    began = time.monotonic()
+    files = leaderboard.reproduce(
+        out, leaderboard.RUNS if runs is None else runs, robot or (),
+        say=lambda line: print(line, file=sys.stderr, flush=True),
+    )  # fmt: skip
+    print(f"written to {' and '.join(map(str, files))} in {time.monotonic() - began:.0f} s")

@@ -1,7 +1,6 @@
 """What is said of one estimator of a store, beyond its summary."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +89,7 @@ def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
     """
     record, level = stored.records[label], stored.scenario.consistency.level
     good = ~record["diverged"].astype(bool)
-    inside = _inside(record)
+    inside = inside_shares(record)
     anees = np.where(good, record["anees"], np.inf)
     credible = None
     if stored.traces(label) is not None and good.any():
@@ -101,10 +100,7 @@ def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
         label=label,
         stored=stored,
         summary=stored.summaries[label],
-        accuracy=tuple(
-            _accuracy(record, good, unit, stored.names, members, inside, level, precision)
-            for unit, members in by_unit(stored.units).items()
-        ),
+        accuracy=accuracies(record, stored.names, stored.units, level, precision),
         coverage=None
         if inside is None
         else tuple(coverage.coverage(inside[good, i], level) for i in range(len(stored.names))),
@@ -120,46 +116,52 @@ def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
     )
 
 
-def by_unit(units: tuple[str, ...]) -> dict[str, list[int]]:
-    """Unit -> its coordinates, in the order in which the units come."""
-    return {unit: [i for i, u in enumerate(units) if u == unit] for unit in dict.fromkeys(units)}
+def accuracies(
+    record: Record, names: tuple[str, ...], units: tuple[str, ...], level: float, precision: float
+) -> tuple[Accuracy, ...]:
+    """The accuracy of an estimator's record, one entry a unit.
+
+    Args:
+        record: as `records.merge` gives it.
+        names, units: of the coordinates `(n,)`.
+        level: confidence.
+        precision: wanted relative half-width of RMSE.
+    """
+    good = ~record["diverged"].astype(bool)
+    inside = inside_shares(record)
+    found = []
+    for unit in dict.fromkeys(units):
+        members = [i for i, u in enumerate(units) if u == unit]
+        mse = record["mse"][:, members].sum(axis=1)
+        every = np.where(good, mse, np.inf)
+        mean = positive_mean_interval(mse[good], level)
+        variance = record["variance"][good][:, members].sum(axis=1)
+        found.append(
+            Accuracy(
+                unit=unit,
+                names=tuple(names[i] for i in members),
+                mean=root(mean),
+                trimmed=root(intervals.trimmed_mean(every, TRIM, level)),
+                median=root(intervals.median(every, level)),
+                sigma=float(np.sqrt(variance.mean())) if good.any() else np.nan,
+                coverage=None
+                if inside is None
+                else coverage.coverage(inside[good][:, members], level),
+                # RMSE to a relative half-width is MSE to twice that.
+                needed=intervals.runs_needed(mse[good], 2 * precision * mean.value, level),
+            )
+        )
+    return tuple(found)
 
 
-def root(i: Interval) -> Interval:
-    """The interval of the square root of a quantity that is not negative."""
-    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in (i.value, i.low, i.high)))
-
-
-def _inside(record: Record) -> Array | None:
-    """Shares within 1, 2, 3σ `(run, coordinate, 3)`."""
+def inside_shares(record: Record) -> Array | None:
+    """Shares within 1, 2, 3σ `(run, coordinate, 3)`, or None where the record has none."""
     names = [f"inside_{k}" for k in coverage.SIGMAS]
     if not all(name in record for name in names):
         return None
     return np.stack([record[name] for name in names], axis=-1)
 
 
-def _accuracy(
-    record: Record,
-    good: NDArray[Any],
-    unit: str,
-    names: tuple[str, ...],
-    members: list[int],
-    inside: Array | None,
-    level: float,
-    precision: float,
-) -> Accuracy:
-    mse = record["mse"][:, members].sum(axis=1)
-    every = np.where(good, mse, np.inf)
-    mean = positive_mean_interval(mse[good], level)
-    variance = record["variance"][good][:, members].sum(axis=1)
-    return Accuracy(
-        unit=unit,
-        names=tuple(names[i] for i in members),
-        mean=root(mean),
-        trimmed=root(intervals.trimmed_mean(every, TRIM, level)),
-        median=root(intervals.median(every, level)),
-        sigma=float(np.sqrt(variance.mean())) if good.any() else np.nan,
-        coverage=None if inside is None else coverage.coverage(inside[good][:, members], level),
-        # RMSE to a relative half-width is MSE to twice that.
-        needed=intervals.runs_needed(mse[good], 2 * precision * mean.value, level),
-    )
+def root(i: Interval) -> Interval:
+    """The interval of the square root of a quantity that is not negative."""
+    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in (i.value, i.low, i.high)))

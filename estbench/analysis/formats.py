@@ -2,8 +2,6 @@
 
 import json
 
-from rich.console import Group
-
 from estbench.analysis import numbers, shown, tables
 from estbench.analysis.compare import Comparison
 from estbench.errors import AnalysisError, did_you_mean
@@ -21,11 +19,14 @@ def check(format_: str) -> None:
         raise AnalysisError(f"no format '{format_}'{did_you_mean(format_, FORMATS)}")
 
 
-def render(comparison: Comparison, format_: str) -> str | Group:
-    """The comparison in one of `FORMATS`; text is for a rich console."""
+def render(comparison: Comparison, format_: str, width: int = 100) -> str:
+    """The comparison in one of `FORMATS`."""
     check(format_)
     if format_ == "json":
         return json.dumps(numbers.to_dict(comparison), indent=2, allow_nan=False)
     if format_ == "csv":
         return numbers.to_csv(comparison)
-    return getattr(tables, format_)(shown.build(comparison))
+    built = shown.build(comparison)
+    if format_ == "text":
+        return tables.text(built, width)
+    return tables.markdown(built) if format_ == "markdown" else tables.latex(built)

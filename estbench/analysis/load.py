@@ -19,6 +19,9 @@ from estbench.store import COSTS, SCENARIO, STORE, open_results
 
 Array = NDArray[np.float64]
 
+REQUIRED = {"anees", "anis", "mse", "variance", "fault", "fault_step", "diverged"}
+"""Arrays without which there is nothing to say."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stored:
@@ -59,7 +62,7 @@ class Stored:
 
         Over the settled instants of the runs that did not diverge.
         """
-        if f"{label}/error" not in self._tree:
+        if "error" not in self._tree[label]:
             return None
         return self._traces(label)
 
@@ -131,7 +134,7 @@ def _record(
     batches = [s.start // size for s in _whole(done, size)]
     record: Record = {}
     for name, field in SUMMARY.items():
-        if f"{label}/{name}" in tree:  # an older store has fewer
+        if name in REQUIRED or name in tree[label]:  # an older store has fewer
             value = _read(folder, tree, f"{label}/{name}")
             record[name] = value[batches] if field.dims[0] == "batch" else value[done]
     return record
@@ -139,7 +142,7 @@ def _record(
 
 def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], size: int) -> Array:
     """Core time of each finished run `(run,)`, s, the mean of its batch; NaN if not known."""
-    if f"{label}/cpu_time" in tree:
+    if "cpu_time" in tree[label]:
         return _read(folder, tree, f"{label}/cpu_time")[done]
     cost = np.full(len(done), np.nan)
     for where in _whole(done, size):

@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,7 @@ def _number(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "scenario", "seed", "estimator", "against", "quantity", "coordinate", "unit",
     "value", "low", "high", "p_sign", "p_wilcoxon",
 )  # fmt: skip
@@ -146,12 +147,7 @@ def _estimator_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     for f in contest.findings:
         found = _estimator(f)
 
-        def row(quantity: str, value: Any, coordinate: str = "", unit: str = "") -> dict[str, Any]:
-            plain = value if isinstance(value, dict) else {"value": value}
-            numbers = {k: plain.get(k) for k in ("value", "low", "high")}
-            return {"estimator": f.key, "quantity": quantity, "coordinate": coordinate,
-                    "unit": unit, **numbers}  # fmt: skip
-
+        row = partial(_row, f.key)
         yield row("verdict", found["verdict"])
         for name in ("runs", "anees_over_n", "anis_over_m", "innovation_lag_one", "diverged_share"):
             yield row(name, found[name])
@@ -177,6 +173,16 @@ def _estimator_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     for r in contest.ranks:
         yield {"estimator": r.key, "quantity": "rank", "value": r.place, "low": r.place,
                "high": r.last}  # fmt: skip
+
+
+def _row(
+    estimator: str, quantity: str, value: Any, coordinate: str = "", unit: str = ""
+) -> dict[str, Any]:
+    plain = value if isinstance(value, dict) else {"value": value}
+    return {
+        "estimator": estimator, "quantity": quantity, "coordinate": coordinate, "unit": unit,
+        **{k: plain.get(k) for k in ("value", "low", "high")},
+    }  # fmt: skip
 
 
 def _pair_rows(contest: Contest) -> Iterator[dict[str, Any]]:

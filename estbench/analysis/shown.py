@@ -67,7 +67,7 @@ def _ranking(contest: Contest, comparison: Comparison) -> Table:
             for i, r in enumerate(contest.ranks)
         ),
         "The ratio is the geometric mean over the coordinates. = is a tie: not told apart at "
-        f"{comparison.level:.0%}\n(Wilcoxon, Holm over all pairs), or by less than "
+        f"{comparison.level:.0%} (Wilcoxon, Holm over all pairs), or by less than "
         f"{comparison.margin:.2g} of the error.",
     )  # fmt: skip
 
@@ -103,7 +103,7 @@ def _accuracy(contest: Contest) -> Table:
             for i, a in enumerate(f.accuracy)
         ),
         f"Of the norm of all coordinates of a unit. The mean is over runs that did not diverge; "
-        f"the mean without\n{TRIM:.0%} at each end and the median are over all runs.",
+        f"the mean without {TRIM:.0%} at each end and the median are over all runs.",
     )  # fmt: skip
 
 
@@ -142,8 +142,8 @@ def _innovations(contest: Contest) -> Table:
         "Innovations and credibility",
         ("<estimator", "lag-one", "runs not white", "pooled p", "NCI, dB", "inclination, dB"),
         tuple(rows),
-        f"Ljung-Box: {1 - level:.0%} of the runs are expected. NCI: 0 is credible, in brackets what "
-        "this many runs\ngive at best; inclination: above 0 optimistic.",
+        f"Ljung-Box: {1 - level:.0%} of the runs are expected. NCI: 0 is credible, in brackets "
+        "what this many runs give at best; inclination: above 0 optimistic.",
     )
 
 

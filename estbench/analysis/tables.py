@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from rich import box
-from rich.console import Group
+from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -39,24 +39,27 @@ class Table:
         return "left" if self.columns[column].startswith("<") else "right"
 
 
-def text(tables: Sequence[Table]) -> Group:
-    """For a rich console."""
-    parts: list[RichTable | Text] = []
-    for table in tables:
-        if not table.columns:
-            parts.append(Text(table.title, style="bold"))
-            continue
-        drawn = RichTable(
-            title=table.title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False,
-            pad_edge=False, collapse_padding=True, caption=table.note or None,
-            caption_justify="left",
-        )  # fmt: skip
-        for i, heading in enumerate(table.headings):
-            drawn.add_column(heading, justify=table.side(i), overflow="fold")
-        for row in table.rows:
-            drawn.add_row(*row)
-        parts += [drawn, Text()]
-    return Group(*parts[:-1])
+def text(tables: Sequence[Table], width: int = 100) -> str:
+    """For a terminal of so many columns; a cell that does not fit goes on in the next line."""
+    console = Console(width=width, no_color=True, force_terminal=False, highlight=False)
+    with console.capture() as capture:
+        for table in tables:
+            console.print(f"{table.title}:" if table.columns else table.title, markup=False)
+            if table.columns:
+                console.print(_drawn(table))
+            if table.note:
+                console.print(table.note, markup=False)
+            console.print()
+    return "\n".join(line.rstrip() for line in capture.get().splitlines()).rstrip()
+
+
+def _drawn(table: Table) -> RichTable:
+    drawn = RichTable(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    for i, heading in enumerate(table.headings):
+        drawn.add_column(Text(heading), justify=table.side(i), overflow="fold")
+    for row in table.rows:
+        drawn.add_row(*map(Text, row))
+    return drawn
 
 
 def markdown(tables: Sequence[Table]) -> str:
@@ -120,8 +123,8 @@ def plus_minus(i: Interval) -> str:
     if not np.isfinite(half) or half <= 0:
         return number(i.value)
     decimals = max(0, int(1 - np.floor(np.log10(half))))
-    if decimals > 9:
-        return f"{i.value:.3g} ± {half:.2g}"
+    if decimals > 6:
+        return f"{i.value:.2e} ± {half:.1e}"
     return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
 
 

@@ -52,14 +52,16 @@ class KF(GaussianEstimator):
 
     Attributes:
         model: the filter's model.
-        u0: control of the operating point `(nu,)`; zeros by default.
+        u0: control of the operating point `(nu,)`; by default the model's own `u0` (a MuJoCo
+            model's keyframe control), else zeros.
     """
 
     model: Model
     u0: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        u0 = np.zeros(self.model.nu) if self.u0 is None else np.asarray(self.u0)
+        given = getattr(self.model, "u0", None) if self.u0 is None else self.u0
+        u0 = np.zeros(self.model.nu) if given is None else np.asarray(given)
         if u0.shape != (self.model.nu,) or u0.dtype.kind not in "fi" or not np.isfinite(u0).all():
             raise EstimatorError(
                 f"KF: u0 is {self.u0!r}; use {self.model.nu} finite numbers, one a control"

@@ -63,6 +63,7 @@ class MujocoModel:
         disturbance: process noise.
         differences: scheme and step of the Jacobians.
         nthread: threads of the batch.
+        u0: nominal control `(nu,)`, about which a `KF` linearizes; default zeros.
     """
 
     def __init__(
@@ -72,8 +73,10 @@ class MujocoModel:
         disturbance: Disturbance,
         differences: Differences | None = None,
         nthread: int = 1,
+        u0: Array | None = None,
     ):
         self.mjmodel = model
+        self.u0 = np.zeros(model.nu) if u0 is None else u0
         self.channels = tuple(channels)
         self.disturbance = disturbance
         self.differences = differences or Differences()

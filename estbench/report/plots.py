@@ -17,6 +17,7 @@ try:
     import matplotlib
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 except ImportError:
     raise MissingExtraError("matplotlib", "plot") from None
 
@@ -105,7 +106,8 @@ def _figure(paper: Paper, rows: int, columns: int, height: float) -> tuple[Figur
 def _grid(paper: Paper, count: int, height: float = 1.25) -> tuple[Figure, list[Axes]]:
     """Small axes, one a coordinate; those left over are removed."""
     columns = min(count, 1 if paper.columns == 1 else 3 if count > 4 else 2)
-    figure, axes = _figure(paper, -(-count // columns), columns, height)
+    rows = -(-count // columns)
+    figure, axes = _figure(paper, rows, columns, height if rows > 1 else 1.7)
     for extra in axes[count:]:
         extra.remove()
     for ax in axes[max(0, count - columns) : count]:
@@ -120,9 +122,13 @@ def _style(index: int) -> dict[str, Any]:
     }
 
 
-def _legend(figure: Figure, paper: Paper, ax: Axes) -> None:
-    """The entries above the figure."""
-    handles = [ax.plot([], [], **_style(k), label=e.key)[0] for k, e in enumerate(paper.entries)]
+def _legend(figure: Figure, paper: Paper, ax: Axes, band: str = "") -> None:
+    """The entries above the figure, and what the grey band is."""
+    handles: list[Any] = [
+        ax.plot([], [], **_style(k), label=e.key)[0] for k, e in enumerate(paper.entries)
+    ]
+    if band:
+        handles.append(Patch(facecolor="#cccccc", lw=0, label=band))
     columns = min(len(handles), 3 if paper.columns == 1 else 6)
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
 
@@ -139,14 +145,9 @@ def _over_time(paper: Paper, label: str, steps: Callable[[Entry], Steps]) -> Fig
             ax.fill_between(curve.time[keep], low, high, color="#cccccc", lw=0)
         ax.plot(curve.time[keep], curve.mean[keep], **_style(k))
     _log(ax, [c.mean for c in curves])
-    level = paper.entries[0].source.level
     ax.set(xlabel="time (s)", ylabel=f"mean {label}")
     ax.margins(x=0.01)
-    ax.annotate(
-        f"grey: {level:.0%} band", (0.995, 0.02), xycoords="axes fraction", ha="right",
-        va="bottom", fontsize=6.5, color="#555555",
-    )  # fmt: skip
-    _legend(figure, paper, ax)
+    _legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
     return figure
 
 
@@ -243,6 +244,7 @@ def _coverage(paper: Paper) -> Figure:
                 value, place + offset, xerr=spread, fmt="o", ms=2.5, lw=0.9, capsize=1.5,
                 color=palette.colour(k),
             )  # fmt: skip
+        ax.locator_params(axis="x", nbins=5)
         ax.set_yticks(place, [names[i] for i in chosen] if stacked or s == 0 else [])
         ax.set_ylim(len(chosen) - 0.5, -0.5)
         ax.set_xlabel(f"share within {sigmas}σ ({expected:.4f} expected)")
@@ -273,7 +275,7 @@ def _autocorrelation(paper: Paper) -> Figure:
             ax.fill_between(lags, -half, half, color="#cccccc", lw=0)
         ax.plot(lags, statistics.correlation[lags], marker=".", ms=3, **_style(k))
     ax.set(xlabel="lag (instants)", ylabel="autocorrelation of NIS")
-    _legend(figure, paper, ax)
+    _legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
     return figure
 
 

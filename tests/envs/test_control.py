@@ -1,3 +1,5 @@
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import json
 
 import numpy as np
@@ -37,7 +39,9 @@ def test_failures_are_counted_with_their_time_and_left_out():
     np.testing.assert_array_equal(np.isfinite(raw.failed_at), raw.failed)
     assert not c["ekf"].failed.any()
     both = (c["ekf"].cost - raw.cost)[~raw.failed]
-    assert np.isclose(c.difference("ekf", "raw").value, both.mean() if both.size else np.nan, equal_nan=True)
+    assert np.isclose(
+        c.difference("ekf", "raw").value, both.mean() if both.size else np.nan, equal_nan=True
+    )
     data = json.loads(json.dumps(c.to_dict(), allow_nan=False))
     assert data["sources"]["raw"]["failures"] == raw.failed.sum()
 

@@ -1,3 +1,5 @@
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +102,7 @@ def test_rows_outside_a_mask_stand_still():
     w.reset(np.ones(2, bool), keys(1, 2))
     drive(w, 2)
     x, estimate = w.truth.x.copy(), w.observer.bank.estimate.copy()
-    reward, ended, late = w.step(np.zeros((2, 1)), np.array([False, True]))
+    reward, *_ = w.step(np.zeros((2, 1)), np.array([False, True]))
     np.testing.assert_array_equal(w.truth.x[0], x[0])
     np.testing.assert_array_equal(w.observer.bank.estimate[0], estimate[0])
     assert (w.truth.x[1] != x[1]).all()
@@ -177,7 +179,9 @@ def test_select_refuses_what_rows_share():
     mask = np.array([True, False])
     new, old = Odd(np.ones((2, 3)), 0), Odd(np.zeros((2, 3)), 0)
     np.testing.assert_array_equal(select(mask, new, old).a, [[1, 1, 1], [0, 0, 0]])
-    with pytest.raises(EstimatorError, match=r"belief.step \(int\) is not kept row by row.*dataclass"):
+    with pytest.raises(
+        EstimatorError, match=r"belief.step \(int\) is not kept row by row.*dataclass"
+    ):
         select(mask, Odd(new.a, 1), old)
     assert select(mask, (None, new.a), (old.a, old.a))[0] is None
     assert set(select(mask, {"a": new.a}, {"a": old.a, "b": old.a})) == {"a"}

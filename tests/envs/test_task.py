@@ -1,3 +1,5 @@
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import numpy as np
 import pytest
 
@@ -50,10 +52,22 @@ def test_bundled_tasks_fit_their_robots(name):
 @pytest.mark.parametrize(
     ("override", "error", "message"),
     [
-        ('task.bounds={"pol"=1}', ScenarioError, "task.bounds: 'pol' matches none .did you mean 'pole'"),
-        ("task.state_weight=[1, 2]", DimensionError, "task.state_weight has 2 values; expected 1 or 4"),
+        (
+            'task.bounds={"pol"=1}',
+            ScenarioError,
+            "task.bounds: 'pol' matches none .did you mean 'pole'",
+        ),
+        (
+            "task.state_weight=[1, 2]",
+            DimensionError,
+            "task.state_weight has 2 values; expected 1 or 4",
+        ),
         ("task.control_weight=-1", CovarianceError, "task.control_weight is -1; a cost needs"),
-        ('task.bounds={"pole"=0}', ScenarioError, "task.bounds.pole: Input should be greater than 0"),
+        (
+            'task.bounds={"pole"=0}',
+            ScenarioError,
+            "task.bounds.pole: Input should be greater than 0",
+        ),
         ("task.horizon=-1", ScenarioError, "task.horizon: Input should be greater than 0"),
         ("task.targt=1", ScenarioError, "task.targt: unknown key .did you mean 'target'"),
     ],

@@ -1,3 +1,5 @@
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import warnings
 
 import gymnasium as gym
@@ -40,7 +42,10 @@ def assert_same(a, b):
         np.testing.assert_array_equal(there, b[-1][f"_{key}"])
         exact = key in ("truth", "nis_dof", "diverged")
         np.testing.assert_allclose(
-            a[-1][key][there], b[-1][key][there], rtol=0 if exact else 1e-6, atol=0 if exact else 1e-9
+            a[-1][key][there],
+            b[-1][key][there],
+            rtol=0 if exact else 1e-6,
+            atol=0 if exact else 1e-9,
         )
 
 
@@ -76,9 +81,7 @@ def test_rows_are_the_scalar_environments(name, kwargs, mode):
             for row in np.flatnonzero(over):
                 final = a[-1]["final_obs"][row], b[-1]["final_obs"][row]
                 np.testing.assert_allclose(*final, rtol=0, atol=1e-9)
-            assert_same(
-                (a[0], a[-1]["final_info"]), (a[0], {**b[-1]["final_info"]})
-            )
+            assert_same((a[0], a[-1]["final_info"]), (a[0], {**b[-1]["final_info"]}))
     assert ends > 3
 
 
@@ -186,7 +189,10 @@ def test_gymnasiums_vector_wrappers():
         ({"render_mode": "human"}, "render_mode is 'human'; a vector has 'rgb_array'"),
         ({"max_episode_steps": 0}, "max_episode_steps is 0"),
         ({"estimator": None}, "observe='state' needs a filter"),
-        ({"overrides": ["channels.pole_encoder.latency=0.02"]}, "pole_encoder has latency or jitter"),
+        (
+            {"overrides": ["channels.pole_encoder.latency=0.02"]},
+            "pole_encoder has latency or jitter",
+        ),
     ],
 )
 def test_bad_arguments(kwargs, message):

@@ -1,3 +1,5 @@
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import logging
 
 import gymnasium as gym
@@ -119,8 +121,9 @@ def test_bad_input():
         VectorEstimatedObservation(gym.make_vec("CartPole-v1", 2, vectorization_mode="sync"))
     env = vector(mode="SameStep", rows=2)
     env.reset(seed=0)
-    with pytest.raises(EnvError, match=r"same-step autoreset.*wrappers=\[estbench.envs.RecordTruth\]"):
-        for _ in range(100):
-            env.step(np.ones((2, 1)))
+    with pytest.raises(
+        EnvError, match=r"same-step autoreset.*wrappers=\[estbench.envs.RecordTruth\]"
+    ):
+        [env.step(np.ones((2, 1))) for _ in range(100)]
     with pytest.raises(EnvError, match=r"action\[1, 0\] is 9"):
         env.step(np.array([[0.0], [9.0]]))

@@ -1,3 +1,5 @@
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import json
 import logging
 import warnings
@@ -38,7 +40,9 @@ def steps(env, count=30, seed=0):
 
 
 def free_of_constraints(name):
-    env = gym.make(f"{name}-v5", **({"terminate_when_unhealthy": False} if name in UNHEALTHY else {}))
+    env = gym.make(
+        f"{name}-v5", **({"terminate_when_unhealthy": False} if name in UNHEALTHY else {})
+    )
     model = env.unwrapped.model
     model.geom_contype[:], model.geom_conaffinity[:] = 0, 0
     if name == "Humanoid":  # its PGS solver stops early, from a warm start: see docs/gymnasium.md
@@ -110,7 +114,9 @@ def test_what_is_observed(name, observe, width):
 
 
 def test_info():
-    env = wrapped(sensors={**SLIDE, "gone": {"add": {"type": "jointvel", "object": "hinge"}, "rate": 12.5}})
+    env = wrapped(
+        sensors={**SLIDE, "gone": {"add": {"type": "jointvel", "object": "hinge"}, "rate": 12.5}}
+    )
     out = steps(env, 4)
     for *_, info in out:
         assert info["truth"].shape == info["estimate"].shape == (4,)
@@ -251,7 +257,9 @@ def test_a_third_party_environment_with_sensors_of_its_own():
     assert not env.notices
     observation, *_, info = steps(env, 5)[-1]
     assert np.abs(observation[:3] - info["truth"][:3]).max() < 0.3
-    assert EstimatedObservation(Plain(), sensors=["fix"], observe="raw").observation_space.shape == (3,)
+    assert EstimatedObservation(
+        Plain(), sensors=["fix"], observe="raw"
+    ).observation_space.shape == (3,)
     with pytest.raises(EnvError, match=r"Plain does not say which MJCF.*pass xml="):
         EstimatedObservation(Plain(), sensors={"a": {"type": "framepos", "object": "s"}})
     with pytest.raises(EnvError, match=r"observe='env' needs Plain._get_obs.*observe='state'"):
@@ -277,7 +285,8 @@ def test_only_mujoco_environments():
         ({"sensors": "no.toml"}, ScenarioError, "sensors 'no.toml' cannot be read"),
         ({"sensors": {"a": {**SLIDE["slider_encoder"], "rate": 50}}}, ScenarioError,
          r"sensors.a.rate: a reading every 1 physics steps, .* falls inside a step"),
-        ({"sensors": {"a": {**SLIDE["slider_encoder"], "noise": -1}}}, CovarianceError, "noise is -1"),
+        ({"sensors": {"a": {**SLIDE["slider_encoder"], "noise": -1}}}, CovarianceError,
+         "noise is -1"),
         ({"estimator": "ukff"}, EstimatorError, "no estimator 'ukff' .did you mean 'ukf'"),
         ({"estimator": {"alpha": 1}}, EnvError, "a table needs a type"),
         ({"estimator": "ukf", "initial_std": 0.0}, EstimatorError,
@@ -288,7 +297,8 @@ def test_only_mujoco_environments():
         ({"process_noise": -1}, CovarianceError, "process_noise.density is negative"),
         ({"process_noise": {"kind": "forse"}}, EnvError, "kind is 'forse' .did you mean 'force'"),
         ({"observe": "estimate"}, EnvError, "observe is 'estimate'"),
-        ({"model_set": {"body_mas.pole": 1}}, ScenarioError, "model_set: no model field 'body_mas'"),
+        ({"model_set": {"body_mas.pole": 1}}, ScenarioError,
+         "model_set: no model field 'body_mas'"),
         ({"xml": "reacher.xml"}, ScenarioError, "no file"),
     ],
 )  # fmt: skip
@@ -308,7 +318,9 @@ def test_another_models_xml():
 
 def test_a_changed_observation_cannot_be_computed_at_the_estimate():
     inner = wrappers.FlattenObservation(wrappers.FrameStackObservation(gym.make("Hopper-v5"), 2))
-    with pytest.raises(EnvError, match=r"a wrapper between has changed it; put EstimatedObservation"):
+    with pytest.raises(
+        EnvError, match=r"a wrapper between has changed it; put EstimatedObservation"
+    ):
         EstimatedObservation(inner)
 
 
@@ -320,7 +332,9 @@ def test_a_step_after_the_end_and_actions_outside():
     with pytest.raises(EnvError, match=r"step\(\) after the end of an episode"):
         env.step(np.zeros(1, np.float32))
     env.reset()
-    with pytest.raises(EnvError, match=r"action\[0\] is 9; expected a value in \[-3, 3\].*ClipAction"):
+    with pytest.raises(
+        EnvError, match=r"action\[0\] is 9; expected a value in \[-3, 3\].*ClipAction"
+    ):
         env.step(np.full(1, 9, np.float32))
     with pytest.raises(EnvError, match=r"action has shape \(2,\); expected \(1,\)"):
         env.step(np.zeros(2, np.float32))

@@ -3,6 +3,7 @@ import sys
 import numpy as np
 import pytest
 
+from estbench import inspection
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator
@@ -161,3 +162,31 @@ def test_a_module_that_raises(text, message, user, tmp_path):
 def test_a_module_that_is_not_there(name):
     with pytest.raises(EstimatorError, match=f"estimator '{name}'"):
         registry.resolve(name)
+
+
+def test_an_installed_packages_entry_point(tmp_path, monkeypatch, capsys):
+    """A distribution that is nothing but its metadata and one module."""
+    (tmp_path / "their_filters.py").write_text(USER.replace("class Good:", "class Good:\n    'Theirs.'"))
+    info = tmp_path / "their_filters-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-filters\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[estbench.estimators]\ntheirs = their_filters:Good\nbroken = nothing_there:Good\n"
+    )
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    assert registry.known()["theirs"] == "their_filters:Good"
+    filter = registry.create("theirs", {"gain": 2.0}, MODEL)
+    assert (filter.model, filter.gain) == (MODEL, 2.0)
+    with pytest.raises(EstimatorError, match=r"no estimator 'their' .did you mean 'theirs'"):
+        registry.resolve("their")
+    with pytest.raises(EstimatorError, match="estimator 'broken': cannot import 'nothing_there'"):
+        registry.resolve("broken")
+    listed = inspection.catalogue()["estimators"]
+    assert listed["theirs"] == "Theirs."
+    assert listed["broken"].startswith("cannot be imported: ModuleNotFoundError")
+
+
+def test_every_registered_name_is_a_class_with_a_first_line():
+    for name, line in inspection.catalogue()["estimators"].items():
+        assert line.endswith((".", ":", ",")) or len(line) > 20, name
+        assert not line.startswith("cannot be imported"), name

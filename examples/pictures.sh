@@ -1,0 +1,19 @@
+#!/usr/bin/env bash
+# Makes the README's two pictures: docs/images/nees.png and docs/images/ghost.png.
+#
+# A quadrotor whose position fix comes ten times a second and 0.1 s late, filtered by the same EKF
+# twice: `exact` goes back to the time of the fix and replays, `naive` takes it as current.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+late=(
+  --set channels.position.rate=10 --set channels.position.latency=0.1
+  --set channels.position.noise=0.02
+  --set 'process_noise.density={ "root.v?" = 0.5, "root.w?" = 2.5e-7 }'
+)
+estbench run quadrotor "${late[@]}" --runs 60 --out "$folder/store" \
+  --set 'estimators={ exact = { type = "ekf" }, naive = { type = "ekf", delays = "naive" } }'
+estbench plot "$folder/store" --what nees --format png --out docs/images/nees.png
+estbench video "$folder/store" -e exact --run 7 --at 2.4 --width 480 --height 360 \
+  --out docs/images/ghost.png

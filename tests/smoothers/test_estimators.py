@@ -1,0 +1,227 @@
+"""Smoothers as estimators: in one table with the filters, and equal to the functions they call."""
+
+import numpy as np
+import pytest
+
+from estbench import experiment, setup
+from estbench.errors import EstimatorError
+from estbench.estimators import registry
+from estbench.estimators.base import Fault, Gaussian, Measurement, Passage, Smoother
+from estbench.estimators.ekf import EKF
+from estbench.filtering import Delays, Recorded, run_filter
+from estbench.models.rows import engine
+from estbench.smoothers.estimators import MAP, RTS, URTS
+from estbench.smoothers.map import map_estimate
+from estbench.smoothers.rts import rts
+from estbench.truth import simulate
+from tests.helpers import linear_model, random_cov
+
+RUNS = 4
+
+
+def passage(estimator, seed=0, steps=6, runs=3):
+    """A filter's way through random measurements of a linear model."""
+    rng = np.random.default_rng(seed)
+    mean, cov = rng.standard_normal((runs, 3)), random_cov(rng, 3, runs)
+    belief = estimator.init(mean, cov)
+    beliefs, controls, measurements = [belief], [], [[]]
+    for k in range(steps):
+        u, y = rng.standard_normal((runs, 1)), rng.standard_normal((runs, 2))
+        mask = rng.random((runs, 2)) > 0.2
+        belief = estimator.predict(belief, u, float(k), 1.0)
+        belief, _ = estimator.update(belief, y, u, k + 1.0, None, mask)
+        beliefs.append(belief)
+        controls.append(u)
+        measurements.append([Measurement(y, u, None, mask)])
+    return Passage(beliefs, controls, [float(k) for k in range(steps + 1)], measurements)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("rts", {"base": base}) for base in ("ekf", "iekf", "sr_ekf", "kf", "lkf")]
+    + [("urts", {"base": base}) for base in ("ukf", "sr_ukf", "ckf", "ghkf")]
+    + [("map", {}), ("map", {"base": "ukf", "window": 6.0})],
+)
+def test_all_are_one_on_a_linear_model(name, settings, seed):
+    model = linear_model(seed)
+    smoother = registry.create(name, settings, model)
+    assert isinstance(smoother, Smoother)
+    reference = passage(EKF(model), seed)
+    expected = rts(model, reference.beliefs, reference.controls, reference.times)
+    smoothed = smoother.smooth(passage(smoother, seed))
+    assert len(smoothed) == len(expected) == 7
+    for ours, other in zip(smoothed, expected):
+        np.testing.assert_allclose(smoother.mean(ours), other.mean, atol=1e-8)
+        np.testing.assert_allclose(smoother.cov(ours), other.cov, atol=1e-8)
+
+
+@pytest.mark.parametrize(("window", "ends"), [(2.0, [2, 4, 6]), (4.0, [4, 6]), (0.5, [1, 2, 3])])
+def test_a_window_starts_from_the_filter_and_knows_its_own_measurements(window, ends):
+    model = linear_model(1)
+    whole = passage(EKF(model))
+    smoothed = MAP(model, window=window).smooth(whole)
+    first = 0
+    for last in ends:
+        part = slice(first, last + 1)
+        expected = rts(
+            model, whole.beliefs[part], whole.controls[first:last], whole.times[part]
+        )
+        # A time between two windows is the start of the later one.
+        for k in range(first, last if last < 6 else last + 1):
+            np.testing.assert_allclose(smoothed[k].mean, expected[k - first].mean, atol=1e-8)
+            np.testing.assert_allclose(smoothed[k].cov, expected[k - first].cov, atol=1e-8)
+        first = last
+
+
+def recorded(robot="pendulum", *overrides, duration=0.3):
+    prepared = setup.build(experiment.resolve(robot, duration=duration, overrides=overrides))
+    with engine():
+        trajectory = simulate(
+            prepared.simulator(range(RUNS)), prepared.controller(range(RUNS)), prepared.plant.period
+        )
+    return prepared, Recorded(prepared.instants, trajectory)
+
+
+def traced(estimator, prepared, source, delays=None):
+    prior = tuple(np.repeat(a[None], RUNS, axis=0) for a in (prepared.mean, prepared.cov))
+    with engine():
+        traces = run_filter(
+            estimator, prepared.space, prior, source, prepared.channel_spaces,
+            keep_cov=True, delays=delays,
+        )  # fmt: skip
+    assert traces is not None
+    return traces
+
+
+@pytest.mark.parametrize("robot", ["pendulum", "quadrotor"])
+def test_what_is_judged_is_the_smoothed_run_and_the_filters_innovations(robot):
+    prepared, source = recorded(robot, duration=0.1)
+    filtered = traced(EKF(prepared.model()), prepared, source)
+    smoothed = traced(RTS(prepared.model()), prepared, source)
+    np.testing.assert_array_equal(smoothed.nis, filtered.nis)
+    np.testing.assert_array_equal(smoothed.dof, filtered.dof)
+    np.testing.assert_array_equal(smoothed.truth, filtered.truth)
+    posteriors = [
+        Gaussian(m, P, np.zeros(RUNS, np.uint8)) for m, P in zip(filtered.mean, filtered.cov)
+    ]
+    controls = [source.control(k, np.empty(0)) for k in range(len(source.instants))]
+    with engine():
+        expected = rts(prepared.model(), posteriors, controls, prepared.times.tolist())
+    np.testing.assert_allclose(smoothed.mean, [b.mean for b in expected], atol=1e-12)
+    np.testing.assert_allclose(smoothed.cov, [b.cov for b in expected], atol=1e-12)
+    error = prepared.space.minus(smoothed.truth, smoothed.mean)
+    np.testing.assert_array_equal(smoothed.error, error)
+    assert (smoothed.std[:-1] <= filtered.std[:-1] * (1 + 1e-9)).all()
+    assert smoothed.cpu_time > 0
+
+
+class Witness(RTS):
+    """Keeps what it was shown."""
+
+    def smooth(self, passage):
+        object.__setattr__(self, "seen", passage)
+        return super().smooth(passage)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.05])
+def test_a_late_reading_stands_where_it_belongs(latency):
+    """The passage is that of a filter that had each reading in its time."""
+    prepared, source = recorded("pendulum", f"channels.encoder.latency={latency}")
+    witness = Witness(prepared.model())
+    traced(witness, prepared, source, Delays(window=prepared.window))
+    seen: Passage = witness.seen  # type: ignore[attr-defined]
+    ekf = EKF(prepared.model())
+    belief = seen.beliefs[0]
+    late = 0
+    with engine():
+        for k, u in enumerate(seen.controls):
+            t, dt = seen.times[k], seen.times[k + 1] - seen.times[k]
+            belief = ekf.predict(belief, u, t, dt)
+            for m in seen.measurements[k + 1]:
+                belief, _ = ekf.update(belief, m.y, m.u, t + dt, m.channels, m.mask)
+                late += "encoder" in m.channels
+            np.testing.assert_allclose(seen.beliefs[k + 1].mean, belief.mean, atol=1e-12)
+            np.testing.assert_allclose(seen.beliefs[k + 1].cov, belief.cov, atol=1e-12)
+    assert late == 30 - round(latency / 0.01)
+
+
+def test_a_run_that_the_filter_lost_is_lost_at_all_times():
+    prepared, source = recorded()
+
+    class Breaking(EKF):
+        def update(self, belief, y, u, t, channels=None, mask=None):
+            posterior, innovation = super().update(belief, y, u, t, channels, mask)
+            if t > 0.155:
+                posterior.mean[1] = np.nan
+            return posterior, innovation
+
+    smoother = RTS(prepared.model())
+    object.__setattr__(smoother, "_filter", Breaking(prepared.model()))
+    traces = traced(smoother, prepared, source)
+    np.testing.assert_array_equal(traces.fault > 0, [False, True, False, False])
+    assert traces.fault[1] == Fault.STATE
+    assert traces.fault_step[1] == 16
+    assert np.isnan(traces.nees[:16, 1]).all()
+    assert np.isfinite(traces.nees[:, [0, 2, 3]]).all()
+
+
+def test_map_is_the_function_on_the_filters_means():
+    prepared, source = recorded(duration=0.1)
+    smoother = MAP(prepared.model(), iterations=1)
+    traces = traced(smoother, prepared, source)
+    filtered = traced(EKF(prepared.model()), prepared, source)
+    prior = Gaussian(filtered.mean[0], filtered.cov[0], np.zeros(RUNS, np.uint8))
+    controls = [source.control(k, np.empty(0)) for k in range(10)]
+    measured: list[list[Measurement]] = [[]]
+    for k in range(10):
+        _, arrived = source.advance(k, controls[k])
+        y = np.concatenate([d.y for d in arrived], axis=1)
+        measured.append([Measurement(y, controls[k], [d.channel for d in arrived])])
+    with engine():
+        expected = map_estimate(
+            prepared.model(), prior, controls, prepared.times.tolist(), measured,
+            start=list(filtered.mean), iterations=1,
+        )  # fmt: skip
+    np.testing.assert_allclose(traces.mean, [b.mean for b in expected.beliefs], atol=1e-12)
+
+
+def test_in_one_table_with_their_filters():
+    results = experiment.run("acrobot", ["ekf", "rts", "urts", "map"], runs=20, duration=0.5)
+    for name in ("rts", "urts", "map"):
+        assert results[name].diverged == 0
+        assert results[name].anees.low < 1.15
+        assert results[name].anees.high > 0.85
+        assert all(
+            a.value < 0.9 * b.value for a, b in zip(results[name].rmse, results["ekf"].rmse)
+        )
+    assert results["rts"].anis.value == results["ekf"].anis.value
+
+
+@pytest.mark.parametrize(
+    ("cls", "settings", "message"),
+    [
+        (RTS, {"base": "ukf"}, "RTS: base is 'ukf'; use one of ekf, iekf, sr_ekf, kf, lkf, cd_ekf"),
+        (URTS, {"base": "ekf"}, "URTS: base is 'ekf'; use one of ukf"),
+        (MAP, {"base": "bias_ekf"}, "MAP: base is 'bias_ekf'; use one of ekf"),
+        (RTS, {"settings": {"covariance_updat": "joseph"}}, "no setting 'covariance_updat' .did"),
+        (MAP, {"window": 0.0}, r"MAP: window is 0.0; use a number in \(0, inf\]"),
+        (MAP, {"iterations": 0}, "MAP: iterations is 0; use an integer of at least 1"),
+        (MAP, {"tolerance": 0.0}, "MAP: tolerance is 0.0"),
+    ],
+)
+def test_bad_settings(cls, settings, message):
+    with pytest.raises(EstimatorError, match=message):
+        cls(linear_model(0), **settings)
+
+
+def test_a_window_longer_than_the_run():
+    longer = experiment.resolve("pendulum", ["map"], duration=0.3,
+                                overrides=["estimators.map.window=0.4"])  # fmt: skip
+    with pytest.raises(EstimatorError, match=r"map: window is 0.4 s but the run only 0.3 s; short"):
+        setup.build(longer)
+
+
+def test_a_users_filter_can_be_smoothed():
+    smoother = RTS(linear_model(0), base="estbench.estimators.ekf:EKF")
+    assert len(smoother.smooth(passage(smoother))) == 7
