@@ -39,13 +39,13 @@ def main() -> None:
     print(
         f"`python -m benchmarks.estimators > results/estimators.md`: {args.runs} runs of "
         f"{args.duration:g} s, seed 0, every setting at its default; RMSE over time and the runs "
-        "that did not diverge; cost is of one core. See [docs/estimators.md](../docs/estimators.md)."
+        "that did not diverge; cost is of one core. See [docs/estimators.md](../docs/estimators.md)"
     )
     for robot in ROBOTS:
         print(f"\n## {robot}", flush=True)
         results = experiment.run(
             robot, args.only, runs=args.runs, duration=args.duration, keep="summary",
-            progress=lambda done, total: print(f"{robot}: {done}/{total}", file=sys.stderr),
+            progress=lambda done, total: print(f"{done}/{total}", file=sys.stderr),
         )  # fmt: skip
         print("\n".join(table(results)), flush=True)
 

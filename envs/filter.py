@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from estbench.envs.merge import select
+from estbench.envs.replay import Measurement, Memory
 from estbench.errors import EstbenchError, EstimatorError
-from estbench.estimators.base import Estimator
+from estbench.estimators.base import Estimator, Innovation
 from estbench.linalg import quadratic_form
 from estbench.manifold import Manifold
 
@@ -27,6 +28,7 @@ class FilterBank:
         slots: channel -> where its innovation stands, in the tangent of all channels.
         rows: how many robots.
         threshold: a row has diverged while NEES/n is above this.
+        depth: how many steps back a late reading may belong.
 
     Attributes:
         belief: the estimator's belief of all rows.
@@ -45,12 +47,14 @@ class FilterBank:
         slots: Mapping[str, slice],
         rows: int,
         threshold: float = 1000.0,
+        depth: int = 0,
     ):
         self.estimator, self.space, self.rows = estimator, space, rows
         self._slots, self._every, self._threshold = dict(slots), tuple(slots), threshold
         self._takes_keys = "keys" in inspect.signature(estimator.init).parameters
         self._label = type(estimator).__name__
         self._width = max((s.stop for s in slots.values()), default=0)
+        self._memory = Memory(depth)
         self.belief: Any = None
         self.estimate = np.zeros((rows, space.nx))
         self.cov = np.zeros((rows, space.n, space.n))
@@ -70,49 +74,39 @@ class FilterBank:
         """
         arguments = {"keys": keys} if self._takes_keys and keys is not None else {}
         fresh = self._guard("init", lambda: self.estimator.init(mean, cov, **arguments))
-        self._merge(mask, fresh)
+        partly = self.belief is not None and not mask.all()
+        self.belief = self._select(mask, fresh, self.belief) if partly else fresh
+        self._memory.reset(mask, fresh)
         self.estimate[mask], self.cov[mask], self.failed[mask] = mean[mask], cov[mask], False
         self.innovation[mask], self.nis[mask], self.dof[mask] = 0.0, 0.0, 0
 
     def predict(self, u: Array, t: float, dt: float, mask: Mask | None = None) -> None:
         """Every row, or those of a mask, from t to t + dt (s) under u `(row, nu)`."""
-        moved = self._guard("predict", lambda: self.estimator.predict(self.belief, u, t, dt))
-        self._merge(mask, moved)
+        self.belief = self.predicted(self.belief, u, t, dt, mask)
+        self._memory.predicted(self.belief, u, t, dt, mask)
 
-    def update(
-        self,
-        y: Array,
-        u: Array,
-        t: float,
-        channels: Sequence[str],
-        arrived: Mask | None = None,
-    ) -> None:
-        """Condition on y `(row, ny)` of the channels at t (s).
-
-        Args:
-            y: readings in the order of the channels; rows where nothing arrived are not looked at.
-            u: control `(row, nu)`.
-            t: s.
-            channels: names.
-            arrived: components that arrived `(row, m)`; None is all.
-        """
-        self.belief, seen = self._guard(
-            "update", lambda: self.estimator.update(self.belief, y, u, t, channels, arrived)
-        )
-        self.nis += seen.nis
-        self.dof += seen.dof
-        if arrived is None and tuple(channels) == self._every:
-            self.innovation = np.array(seen.residual)
+    def fuse(self, arrived: Sequence[Measurement], u: Array, t: float) -> None:
+        """Condition on what has arrived at t (s), under u `(row, nu)`; late readings go back."""
+        if self._memory.depth:
+            if arrived:
+                self.belief = self._memory.fuse(self, arrived)
             return
-        start = 0
-        for name in channels:
-            slot = self._slots[name]
-            part = slice(start, start + slot.stop - slot.start)
-            ν = seen.residual[:, part]
-            if arrived is not None:
-                ν = np.where(arrived[:, part], ν, self.innovation[:, slot])
-            self.innovation[:, slot] = ν
-            start = part.stop
+        for measurement in arrived:
+            self.belief = self.updated(self.belief, measurement, u, t, True)
+
+    def predicted(self, belief: Any, u: Array, t: float, dt: float, mask: Mask | None) -> Any:
+        """The belief after an interval, in the rows of a mask; pure."""
+        moved = self._guard("predict", lambda: self.estimator.predict(belief, u, t, dt))
+        return moved if mask is None or mask.all() else self._select(mask, moved, belief)
+
+    def updated(self, belief: Any, m: Measurement, u: Array, t: float, new: bool) -> Any:
+        """The belief given a measurement; notes its innovation if it is new."""
+        belief, seen = self._guard(
+            "update", lambda: self.estimator.update(belief, m.y, u, t, m.channels, m.arrived)
+        )
+        if new:
+            self._note(seen, m)
+        return belief
 
     def begin(self) -> None:
         """Forget the innovations of the last step."""
@@ -168,10 +162,24 @@ class FilterBank:
         *_, solved, fault = dposv(self.cov[0], error[0])  # a fifth of the time, for one row
         return np.array([error[0] @ solved if fault == 0 else np.nan])
 
-    def _merge(self, mask: Mask | None, new: Any) -> None:
-        if self.belief is not None and mask is not None and not mask.all():
-            new = select(mask, new, self.belief, f"estimator {self._label}: the belief")
-        self.belief = new
+    def _note(self, seen: Innovation, m: Measurement) -> None:
+        self.nis += seen.nis
+        self.dof += seen.dof
+        if m.arrived is None and m.channels == self._every:
+            self.innovation = np.array(seen.residual)
+            return
+        start = 0
+        for name in m.channels:
+            slot = self._slots[name]
+            part = slice(start, start + slot.stop - slot.start)
+            ν = seen.residual[:, part]
+            if m.arrived is not None:
+                ν = np.where(m.arrived[:, part], ν, self.innovation[:, slot])
+            self.innovation[:, slot] = ν
+            start = part.stop
+
+    def _select(self, mask: Mask, new: Any, old: Any) -> Any:
+        return select(mask, new, old, f"estimator {self._label}: the belief")
 
     def _guard(self, verb: str, call: Any) -> Any:
         try:

@@ -68,10 +68,10 @@ class Observer:
         u = self._clamp(u)
         if self.bank is not None:
             self.bank.predict(u, self.t, steps * self._timestep, mask)
-        reading = self.readings.take(steps, x, u, mask)
+        arrived = self.readings.take(steps, x, u, mask)
         self.t = self.readings.latest * self._timestep
-        if self.bank is not None and reading is not None:
-            self.bank.update(reading.y, u, self.t, reading.channels, reading.arrived)
+        if self.bank is not None:
+            self.bank.fuse(arrived, u, self.t)
 
     def settle(self) -> None:
         """The step of the environment is over."""

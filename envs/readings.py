@@ -1,37 +1,24 @@
 """What the sensors of many robots say, each robot at its own time since its reset."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import gcd
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.envs.delay import Delay
 from estbench.envs.errors import EnvError
 from estbench.envs.flaws import Flawed, Source, White
 from estbench.envs.keys import Keys, Mask
+from estbench.envs.replay import Measurement
 from estbench.models import layout
 from estbench.models.mujoco import needed_stage
 from estbench.models.rows import Rows
 from estbench.sensors import Channel
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """What arrived at one instant.
-
-    Attributes:
-        y: `(row, ny)`; only the components that arrived mean anything.
-        channels: names of the channels that are due in any row.
-        arrived: components that arrived `(row, m)`; None is all.
-    """
-
-    y: Array
-    channels: tuple[str, ...]
-    arrived: Mask | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +30,7 @@ class _Group:
         names: their names.
         period, phase: in physics steps; the first reading is at `phase`, or at `period`.
         source: their noise and imperfections.
+        delay: until their readings arrive, or None for none.
         columns: of sensordata.
         point: their columns in the point of all readings.
         width: count of components.
@@ -53,6 +41,7 @@ class _Group:
     period: int
     phase: int
     source: Source
+    delay: Delay | None
     columns: NDArray[np.intp]
     point: NDArray[np.intp]
     width: int
@@ -78,7 +67,7 @@ class Readings:
         latest: the largest of them.
 
     Raises:
-        EnvError: a channel has latency or jitter.
+        EnvError: a channel has jitter.
     """
 
     def __init__(
@@ -91,10 +80,10 @@ class Readings:
         look: bool = True,
     ):
         for c in channels:
-            if not c.timing.punctual:
+            if c.timing.jitter:
                 raise EnvError(
-                    f"channels.{c.name} has latency or jitter; an environment fuses readings at "
-                    "the time they are due, so set both to 0 here (`estbench run` handles them)"
+                    f"channels.{c.name}.jitter: an environment samples when a reading is due; set "
+                    "it to 0 here (`estbench run` handles it)"
                 )
         self.channels = tuple(channels)
         self.space = layout.sensor_space(model, [c.index for c in channels])
@@ -106,6 +95,7 @@ class Readings:
         self._model, self._rows = model, Rows(model, nthread)
         self._timestep = float(model.opt.timestep)
         self._groups = self._grouped(rows, frozenset(quiet))
+        self._late = [group for group in self._groups if group.delay is not None]
         self._plans: dict[tuple[int, ...], tuple[NDArray[np.intp], int]] = {}
         # A stuck sensor repeats what it saw, so it has to have seen something.
         self._look = look or any(c.part is not None and c.part.stuck for c in channels)
@@ -137,8 +127,15 @@ class Readings:
         )
         for group, clean in seen:
             group.source.start(mask, keys, clean)
+            if group.delay is not None:
+                group.delay.start(mask, keys)
             y, _ = group.source.read(clean, time, rows, keep=False)
             self.last[np.ix_(mask, group.point)] = y[mask]
+
+    def depth(self, stride: int) -> int:
+        """How many strides of physics steps late a reading may be (five standard deviations)."""
+        late = (c.timing.longest for c in self.channels)
+        return -(-max(late, default=0) // stride)
 
     def stride(self, steps: int) -> int:
         """The most physics steps that divide `steps` and miss no reading, whatever the phase.
@@ -147,8 +144,8 @@ class Readings:
         """
         return gcd(steps, *(n for g in self._groups for n in (g.period, g.phase) if n))
 
-    def take(self, steps: int, x: Array, u: Array, mask: Mask | None = None) -> Reading | None:
-        """Let physics steps pass, up to the states x, and read what is due there.
+    def take(self, steps: int, x: Array, u: Array, mask: Mask | None = None) -> list[Measurement]:
+        """Let physics steps pass, up to the states x; take what is due and hand out what arrives.
 
         Args:
             steps: physics steps since the last call.
@@ -157,34 +154,46 @@ class Readings:
             mask: rows for which time passes; None is all.
 
         Returns:
-            What arrived, or None if nothing is due in any row.
+            What arrived: readings of now together, late ones by their age.
         """
         self.tick += steps if mask is None else steps * mask
         self._together = self._together and mask is None
         self.latest = self.latest + steps if self._together else int(self.tick.max())
         due = {i: self._due(group, mask) for i, group in enumerate(self._groups)}
         due = {i: rows for i, rows in due.items() if rows is None or rows.any()}
-        if not due:
-            return None
-        time = np.asarray(self.tick * self._timestep, np.float64)
-        clean, parts = self._clean(tuple(due), x, u, self.latest * self._timestep), []
-        for rows, (group, true) in zip(due.values(), clean):
-            y, arrives = group.source.read(true, time, rows)
-            here = rows if arrives is None else arrives if rows is None else rows & arrives
-            if here is None:
-                self.last[:, group.point] = y
-            else:
-                self.last[np.ix_(here, group.point)] = y[here]
-            parts.append((group, y, here))
-        return self._joined(parts)
+        arrived, now = [], []
+        if due:
+            time = np.asarray(self.tick * self._timestep, np.float64)
+            clean = self._clean(tuple(due), x, u, self.latest * self._timestep)
+            for rows, (group, true) in zip(due.values(), clean):
+                y, arrives = group.source.read(true, time, rows)
+                here = rows if arrives is None else arrives if rows is None else rows & arrives
+                if group.delay is not None:
+                    group.delay.send(y, here, rows, self.tick)
+                    continue
+                self._see(group, y, here)
+                now.append((group, y, here))
+        if now:
+            arrived.append(self._joined(now))
+        for group in self._late:
+            for y, here, age in group.delay.receive(self.tick) if group.delay else ():
+                self._see(group, y, here)
+                arrived.append(replace(self._joined([(group, y, here)]), age=age))
+        return arrived
 
-    def _joined(self, parts: list[tuple[_Group, Array, Mask | None]]) -> Reading:
+    def _see(self, group: _Group, y: Array, here: Mask | None) -> None:
+        if here is None:
+            self.last[:, group.point] = y
+        else:
+            self.last[np.ix_(here, group.point)] = y[here]
+
+    def _joined(self, parts: list[tuple[_Group, Array, Mask | None]]) -> Measurement:
         """The readings of some groups, channels in the robot's order."""
         if len(parts) == 1:
             group, y, here = parts[0]
             whole = here is None
             arrived = None if whole else np.repeat(here[:, None], group.width, axis=1)
-            return Reading(y, group.names, arrived)
+            return Measurement(y, group.names, arrived)
         by_channel = {}
         for group, y, here in parts:
             start = 0
@@ -202,7 +211,7 @@ class Readings:
                 shape = (len(y), self.channels[i].space.n)
                 columns.append(np.broadcast_to(True if here is None else here[:, None], shape))
             arrived = np.concatenate(columns, axis=1)
-        return Reading(y, tuple(self.channels[i].name for i in order), arrived)
+        return Measurement(y, tuple(self.channels[i].name for i in order), arrived)
 
     def _due(self, group: _Group, mask: Mask | None) -> Mask | None:
         """Rows in which a group is due; None for all."""
@@ -236,7 +245,7 @@ class Readings:
         """Channels with white noise only and one rhythm together, every other one by itself."""
         members: dict[tuple[int, int, int], list[int]] = {}
         for i, c in enumerate(self.channels):
-            plain = c.part is None and c.schedule is None
+            plain = c.part is None and c.schedule is None and c.timing.punctual
             key = (c.timing.period, c.timing.phase, -1 if plain else i)
             members.setdefault(key, []).append(i)
         starts = np.cumsum([0] + [c.space.nx for c in self.channels])
@@ -256,6 +265,7 @@ class Readings:
                     period=period,
                     phase=phase,
                     source=source,
+                    delay=None if chosen[0].timing.punctual else Delay(chosen[0], rows),
                     columns=np.concatenate([c.columns for c in chosen]),
                     point=np.concatenate([np.arange(starts[i], starts[i + 1]) for i in numbers]),
                     width=space.n,

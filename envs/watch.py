@@ -72,7 +72,8 @@ class Watch:
                 nthread=nthread,
             )
             made = _estimator(estimator, believed)
-            bank = FilterBank(made, self.space, readings.slots, rows)
+            depth = readings.depth(self.frame_skip)
+            bank = FilterBank(made, self.space, readings.slots, rows, depth=depth)
             self._try(bank, readings, rows)
         self.observer = Observer(adopted.model, readings, bank)
 

@@ -90,14 +90,21 @@ class World:
         self.task = Task.build(scenario, plant)
         self.truth = TruthRows(prepared, rows, nthread)
         readings = Readings(plant.model, prepared.channels, rows, nthread, look=look)
-        bank = None
+        self._stride = readings.stride(plant.nstep)
+        bank, mean, cov = None, prepared.mean, prepared.cov
         if filtered:
             label = next(iter(scenario.estimators))
-            # A fit of the first readings needs the event loop: here every start is the prior.
-            estimator = registry.create(label, prepared.settings(label), prepared.model(nthread))
+            if prepared.start(label).method != "prior":
+                raise EnvError(
+                    f"{label}: start.method is '{prepared.start(label).method}'; in an environment "
+                    "a filter starts from the prior, so leave it out"
+                )
+            made = registry.create(label, prepared.settings(label), prepared.model(nthread))
+            exact = prepared.delays(label).handling == "exact"
+            depth = readings.depth(self._stride) if exact else 0
             threshold = scenario.consistency.divergence_threshold
-            bank = FilterBank(estimator, prepared.space, readings.slots, rows, threshold)
-        self._stride = readings.stride(plant.nstep)
+            bank = FilterBank(made, prepared.space, readings.slots, rows, threshold, depth)
+            mean, cov = prepared.prior(label)
         self.observer = Observer(plant.model, readings, bank)
         mean, cov = prepared.prior(next(iter(scenario.estimators)))
         self._prior = np.repeat(mean[None], rows, axis=0), np.repeat(cov[None], rows, axis=0)

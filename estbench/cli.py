@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estbench import experiment, inspection, store
 from estbench.analysis import commands as analysis_commands
-from estbench.errors import EstbenchError, ExecutorError
+from estbench.errors import EstbenchError, ExecutorError, Interrupted
 from estbench.report import commands
 
 app = typer.Typer(
@@ -196,7 +196,7 @@ def main() -> None:
         code = app(prog_name="estbench", standalone_mode=False)
     except EstbenchError as error:
         _complain(str(error))
-        sys.exit(2)
+        sys.exit(130 if isinstance(error, Interrupted) else 2)
     except _UsageError as error:
         # Without any argument typer has printed the help and says nothing more.
         if message := error.format_message():

@@ -44,6 +44,10 @@ class AnalysisError(EstbenchError):
     """A comparison or a report of results was asked for with a setting that makes no sense."""
 
 
+class Interrupted(EstbenchError):  # noqa: N818 - it is no error but the user's wish
+    """Ctrl-C came before there was anything to show; the command line exits with 130."""
+
+
 class MissingExtraError(EstbenchError):
     """An optional dependency is not installed."""
 

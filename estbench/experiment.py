@@ -16,6 +16,7 @@ from estbench.errors import (
     EstbenchError,
     EstimatorError,
     ExecutorError,
+    Interrupted,
     ScenarioError,
     StoreError,
     did_you_mean,
@@ -88,6 +89,15 @@ def run(
     """
     if shard is not None and not 1 <= shard[0] <= shard[1]:
         raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+    for name, value in (("batch_size", batch_size), ("workers", workers)):
+        if value is not None and value < 1:
+            raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
+    for name, value, known in (
+        ("keep", keep, ("summary", "diagonal", "full")),
+        ("dtype", dtype, ("float64", "float32")),
+    ):
+        if value not in known:
+            raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
     if out is None and (resume or shard is not None):
         raise StoreError("resume and shard need a folder to go on with; name it with --out")
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
@@ -108,6 +118,8 @@ def run(
         done, failed, interrupted = _compute(
             prepared, wanted, target.keep, using, target, done, progress
         )
+        if interrupted:  # a worker may have written what it had no time to report
+            done = {**_finished(target)[0], **done}
         if not done:
             target.discard()
         else:
@@ -253,7 +265,11 @@ def run_batch(
         section = prepared.scenario.consistency
         out[label] = records.reduce(traces, prepared.times, section, keep)
         if keep != "summary":
-            truth = {"x": np.swapaxes(traces.truth, 0, 1)}
+            x = {"x": np.swapaxes(traces.truth, 0, 1)}
+            if prepared.scenario.control.observe == "estimate":
+                out[label] |= x
+            else:
+                truth = x
     return Batch(truth, out)
 
 
@@ -305,7 +321,7 @@ def _collect(
     if not done and failed:
         raise next(iter(failed.values()))
     if not done:
-        raise EstbenchError("interrupted before the first batch was finished: there is no result")
+        raise Interrupted("interrupted before the first batch was finished: there is no result")
     order = sorted(done)
     runs = [run for i in order for run in batches[i]]
     merged = {

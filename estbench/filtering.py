@@ -202,6 +202,11 @@ def run_filter(
             began = time.thread_time()
             smoothed = cast(Smoother, estimator).smooth(fusion.past)
             cpu_time += time.thread_time() - began
+            if len(smoothed) != len(recorder.truth):
+                raise DimensionError(
+                    f"{type(estimator).__name__}: smooth returned {len(smoothed)} beliefs; expected "
+                    f"{len(recorder.truth)}, one a time and one for the start"
+                )
             for k, belief in enumerate(smoothed):
                 recorder.add(k, recorder.truth[k], belief)
     return recorder.traces(fusion, cpu_time)
@@ -228,7 +233,7 @@ class _Fusion:
         self.nis = np.full((len(instants), runs), np.nan)
         self.dof = np.zeros((len(instants), runs), np.int64)
         self.late = np.zeros(runs, np.int64)
-        self.whiteness = Lags(runs)
+        self.whiteness = Lags(runs, {name: s.n for name, s in inbox.spaces.items()})
         self.past: Passage | None = None
 
     def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
@@ -281,7 +286,7 @@ class _Fusion:
             )
             self.nis[k] += innovation.nis
             self.dof[k] += innovation.dof
-            if np.any(innovation.dof):
+            if np.size(innovation.white):
                 self.whiteness.put(k, layer, joint.channels, innovation.white, joint.mask)
         if joints:
             self.nis[k, self.dof[k] == 0] = np.nan

@@ -32,12 +32,12 @@ Layer = dict[str, tuple[Array, Mask | None]]
 class Inbox:
     """Deliveries filed by instant.
 
-    Args:
+    Attributes:
         spaces: channel -> the manifold of its readings, in the order of the measurement vector.
     """
 
     def __init__(self, spaces: Mapping[str, Manifold]):
-        self._spaces = dict(spaces)
+        self.spaces = dict(spaces)
         self._filed: dict[int, list[Layer]] = {}
         self._joints: dict[int, list[Joint]] = {}
 
@@ -67,13 +67,13 @@ class Inbox:
             self._joints.pop(old, None)
 
     def _join(self, layer: Layer) -> Joint:
-        channels = tuple(name for name in self._spaces if name in layer)
+        channels = tuple(name for name in self.spaces if name in layer)
         parts = [layer[name] for name in channels]
         y = np.concatenate([part for part, _ in parts], axis=1) if len(parts) > 1 else parts[0][0]
         if all(mask is None for _, mask in parts):
             return Joint(channels, y, None)
         columns = [
-            np.broadcast_to(True if mask is None else mask[:, None], (len(y), self._spaces[name].n))
+            np.broadcast_to(True if mask is None else mask[:, None], (len(y), self.spaces[name].n))
             for name, (_, mask) in zip(channels, parts)
         ]
         return Joint(channels, y, np.concatenate(columns, axis=1))

@@ -1,40 +1,48 @@
 """Lag products of whitened innovations, summed while a filter runs."""
 
-from collections import deque
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 LAGS = 10
-"""How many lags, in updates with the same channels."""
+"""How many lags, in arrivals."""
 
 
 class Lags:
-    """Sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0 ... LAGS, over the updates with the same channels, once final.
+    """Sums of ν̃ₖ ν̃ₖ₋ₗ, l = 0 ... LAGS, over the arrivals of each component, once final.
 
-    ν̃ = L⁻¹ν with S = L Lᵀ. Updates with other channels have their own past. A component that did
-    not arrive counts in neither the sum nor the number of terms.
+    ν̃ = L⁻¹ν with S = L Lᵀ. A component's past is what arrived of it in that run: neither other
+    channels nor the other runs of a batch matter.
+
+    Args:
+        runs: how many.
+        widths: channel -> count of its components.
 
     Attributes:
         sums: `(run, LAGS + 1)`.
         terms: how many products of two numbers are in each `(run, LAGS + 1)`.
     """
 
-    def __init__(self, runs: int):
+    def __init__(self, runs: int, widths: Mapping[str, int]):
         self.sums = np.zeros((runs, LAGS + 1))
         self.terms = np.zeros((runs, LAGS + 1), np.int64)
-        self._open: dict[tuple[int, int], tuple[tuple[str, ...], Array, Array | None]] = {}
-        self._past: dict[tuple[str, ...], deque[tuple[Array, Array | None]]] = {}
+        ends = np.cumsum([0, *widths.values()])
+        self._slots = {name: np.arange(a, b) for name, a, b in zip(widths, ends, ends[1:])}
+        self._open: dict[tuple[int, int], tuple[Sequence[str], Array, Mask | None]] = {}
+        self._past = np.zeros((LAGS + 1, runs, ends[-1]))
+        self._known = np.zeros(self._past.shape, bool)
 
     def put(
         self,
         instant: int,
         layer: int,
-        channels: tuple[str, ...],
+        channels: Sequence[str],
         white: Array,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Mask | None = None,
     ) -> None:
         """Note an innovation; a replay of the same instant replaces it.
 
@@ -51,28 +59,19 @@ class Lags:
         """Count the innovations of instants that no replay can change any more."""
         for key in sorted(k for k in self._open if k[0] < before):
             channels, white, mask = self._open.pop(key)
-            past = self._past.setdefault(channels, deque(maxlen=LAGS + 1))
-            past.appendleft((white, mask))
-            count, m = len(past), white.shape[-1]
-            if not m:
-                continue
-            products = (np.stack([w for w, _ in past]) * white).sum(axis=-1)
-            self.sums[:, :count] += products.T
-            if all(known is None for _, known in past):
-                self.terms[:, :count] += m
-            else:
-                for lag, (_, known) in enumerate(past):
-                    self.terms[:, lag] += _both(mask, known, white)
+            columns = np.concatenate([self._slots[name] for name in channels])
+            came = np.ones(white.shape, bool) if mask is None else mask
+            past, known = self._past[:, :, columns], self._known[:, :, columns]
+            now = np.concatenate([white[None], past[:-1]])
+            both = np.concatenate([came[None], known[:-1]])
+            if mask is not None:
+                now, both = np.where(came, now, past), np.where(came, both, known)
+            self._past[:, :, columns], self._known[:, :, columns] = now, both
+            both = both & came
+            self.sums += np.where(both, now * white, 0.0).sum(axis=-1).T
+            self.terms += both.sum(axis=-1).T
 
     def finish(self) -> tuple[Array, NDArray[np.int64]]:
         """Sums and terms of everything."""
         self.settle(np.iinfo(np.int64).max)
         return self.sums, self.terms
-
-
-def _both(a: Array | None, b: Array | None, white: Array) -> NDArray[np.int64] | int:
-    """Components that arrived at both times `(run,)`."""
-    if a is None or b is None:
-        known = a if b is None else b
-        return white.shape[-1] if known is None else known.sum(axis=-1)
-    return (np.asarray(a, bool) & np.asarray(b, bool)).sum(axis=-1)

@@ -111,7 +111,8 @@ class Readings:
         """
         channel, part = self.channel, self.channel.part
         if part is None:
-            return channel.space.plus(clean, self._white(j)), None
+            exact = not channel.cov.any()  # ⊞ 0 would round a quaternion
+            return (clean if exact else channel.space.plus(clean, self._white(j))), None
         if j != self._advanced:
             draws = {purpose: values[j] for purpose, values in self._draws.items()}
             self._state = imperfections.advance(

@@ -77,9 +77,14 @@ RESERVED = {"run", "time", "coordinate", "coordinate_", "unit", "done", "truth"}
 TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}
 
 
-def fields(keep: str) -> dict[str, Field]:
-    """The fields an estimator's record has."""
-    return SUMMARY | (DIAGONAL if keep != "summary" else {}) | (FULL if keep == "full" else {})
+def fields(keep: str, live: bool = False) -> dict[str, Field]:
+    """The fields an estimator's record has.
+
+    With a controller that sees the estimate (`live`) each estimator has a truth of its own, kept in
+    its own group; otherwise one truth in the group `truth` serves all.
+    """
+    traces = (DIAGONAL | (TRUTH if live else {})) if keep != "summary" else {}
+    return SUMMARY | traces | (FULL if keep == "full" else {})
 
 
 def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str) -> Record:

@@ -123,9 +123,7 @@ class WarmStart:
                 "fits the whole run anyway; use start.method = 'prior' with start.inflate"
             )
 
-    def init(
-        self, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
-    ) -> Starting:
+    def init(self, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None) -> Starting:
         """Wait with mean `(run, nx)` and covariance `(run, n, n)`."""
         prior = Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
         return Starting(self._begin(mean, cov, keys), prior, keys)

@@ -52,8 +52,9 @@ class Store:
         batches: the runs of each batch.
     """
 
-    def __init__(self, folder: Path, keep: str, batches: Sequence[range]):
+    def __init__(self, folder: Path, keep: str, batches: Sequence[range], live: bool = False):
         self.folder = folder
+        self._live = live
         self.batches = list(batches)
         self._keep = keep
         self._made: list[Path] = []
@@ -98,7 +99,7 @@ class Store:
             if isinstance(error, OSError):
                 raise _unwritable(folder, error) from None
             raise
-        new = cls(folder, keep, batches)
+        new = cls(folder, keep, batches, _live(setup))
         new._made = made
         return new
 
@@ -126,7 +127,7 @@ class Store:
             raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
         count = setup.scenario.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
-        return cls(folder, keep, batches)
+        return cls(folder, keep, batches, _live(setup))
 
     @property
     def keep(self) -> str:
@@ -173,7 +174,7 @@ class Store:
         try:
             groups = [g for g in self._root.group_keys() if g != "truth"]
             for group in sorted(self._root.group_keys()) if check else groups:
-                table = TRUTH if group == "truth" else fields(self._keep)
+                table = self._fields(group)
                 values = {
                     name: np.asarray(self._root[f"{group}/{name}"][self._where(group, name, batch)])  # type: ignore[index]
                     for name in table
@@ -226,11 +227,19 @@ class Store:
         """Remove the folder, and the parents made for it: nothing in it was finished."""
         _remove(self.folder, self._made)
 
+    def _fields(self, group: str) -> dict[str, Field]:
+        return TRUTH if group == "truth" else fields(self._keep, self._live)
+
     def _where(self, group: str, name: str, batch: int) -> slice:
         """The rows of an array that a batch fills."""
-        dims = (TRUTH if group == "truth" else fields(self._keep))[name].dims
+        dims = self._fields(group)[name].dims
         runs = self.batches[batch]
         return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
+
+
+def _live(setup: Setup) -> bool:
+    """Whether each estimator drives a truth of its own."""
+    return setup.scenario.control.observe == "estimate"
 
 
 def _remove(folder: Path, parents: Sequence[Path]) -> None:
@@ -307,11 +316,11 @@ def _template(
             array.attrs["meaning"] = field.meaning
 
     declare("", {"done": DONE})
-    traces = {k: v for k, v in fields(keep).items() if k not in SUMMARY}
+    traces = {k: v for k, v in fields(keep, _live(setup)).items() if k not in SUMMARY}
     for label in setup.scenario.estimators:
         declare(label, SUMMARY)
         declare(label, traces, dtype)
-    if keep != "summary":
+    if keep != "summary" and not _live(setup):
         declare("truth", TRUTH, dtype)
 
 

@@ -2,6 +2,7 @@
 probability below 1e-6 each: a mean or a variance is compared at six standard deviations (2e-9)."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ LINE, AXES = Manifold.euclidean(1), Manifold.euclidean(3)
 TURN = Manifold(("rx", "ry", "rz"), ("rad",) * 3, np.array([[0, 0]]))
 
 
-def ideal(m=1, **parts):
+def ideal(m=1, **parts: Any):
     zero = np.zeros(m)
-    given = {"bias": zero, "walk": zero, "drift": zero, "scale_factor": zero, "quantization": zero,
+    given: dict[str, Any] = {"bias": zero, "walk": zero, "drift": zero, "scale_factor": zero, "quantization": zero,
              "cutoff": zero + np.inf, "deadband": zero}  # fmt: skip
     for name, value in parts.items():
         given[name] = np.full(m, value) if name in given else value
@@ -255,9 +256,7 @@ def test_only_the_runs_that_read_now_remember_it():
 
 def test_one_imperfection_more_changes_no_other_number():
     few, _ = simulate(ideal(bias=0.1, walk=0.1), readings=10, std=0.2)
-    more, masks = simulate(
-        ideal(bias=0.1, walk=0.1, dropout=0.3, stuck=1e-9), readings=10, std=0.2
-    )
+    more, masks = simulate(ideal(bias=0.1, walk=0.1, dropout=0.3, stuck=1e-9), readings=10, std=0.2)
     np.testing.assert_array_equal(few[masks], more[masks])
 
 

@@ -155,7 +155,9 @@ def exact(path, *more):
     overrides = [f"filter.channels.{n}.noise=0.1" for n in names]
     overrides += [f"channels.{n}.noise=0" for n in names]
     overrides += [f"channels.{n}.{k}={v}" for n in names for k, v in NOTHING.items()]
-    return setup.build(load(path, [*overrides, "control.kind=sine", "control.amplitude=0.4", *more]))
+    return setup.build(
+        load(path, [*overrides, "control.kind=sine", "control.amplitude=0.4", *more])
+    )
 
 
 @pytest.mark.parametrize("skip", [1, 3])

@@ -195,7 +195,7 @@ def test_a_late_reading_of_the_window_is_fitted_too():
         ("start.inflate={hing=2.0}", r"start.inflate: 'hing' matches none \(did you mean 'hinge'"),
         ("start.method=bach", "start.method: Input should be 'prior', 'batch' or 'static'"),
         ("estimators.ekf.start=3", "estimators.ekf.start is 3; use a table"),
-        ("estimators.ekf.start.inflat=3", r"ekf.start.inflat: unknown key \(did you mean 'inflate'"),
+        ("estimators.ekf.start.inflat=3", r"start.inflat: unknown key \(did you mean 'inflate'"),
         ("estimators.ekf.start.window=0.0", "ekf.start.window: Input should be greater than 0"),
     ],
 )
@@ -206,5 +206,5 @@ def test_a_bad_start(override, message):
 
 def test_a_smoother_needs_no_fit():
     model = linear_model(0)
-    with pytest.raises(EstimatorError, match="RTS: start.method is 'batch', but a smoother"):
+    with pytest.raises(EstimatorError, match=r"RTS: start.method is 'batch', but a smoother"):
         WarmStart(registry.create("rts", {}, model), model, 0.1, "batch")

@@ -71,8 +71,11 @@ def test_each_run_has_its_own_jitter_and_latency_whatever_its_company():
 
 def test_punctual():
     assert Timing(3, phase=2).punctual
-    for late in ({"jitter": 1}, {"latency": 1.0}, {"latency_std": 1.0}, {"uneven": (1.5, 1.5)}):
-        assert not Timing(3, **late).punctual
+    for late in (
+        Timing(3, jitter=1), Timing(3, latency=1.0), Timing(3, latency_std=1.0),
+        Timing(3, uneven=(1.5, 1.5)),
+    ):  # fmt: skip
+        assert not late.punctual
 
 
 def test_jittered_instants_are_instants_and_jitter_is_less_than_half_a_period():

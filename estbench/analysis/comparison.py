@@ -189,8 +189,10 @@ def compare(
             better[behind] += 1
             worse[ahead] += 1
     lost = {k: float(np.mean(~np.isfinite(v))) for k, v in scores.items()}
-    middle = {k: float(np.median(np.where(np.isfinite(v), v, np.inf))) for k, v in scores.items()}
-    order = sorted(keys, key=lambda k: (better[k], middle[k], lost[k]))
+    mean = {
+        k: float(v[np.isfinite(v)].mean()) if lost[k] < 1 else np.inf for k, v in scores.items()
+    }
+    order = sorted(keys, key=lambda k: (better[k], -worse[k], lost[k], mean[k]))
     places = list(better.values())
     ranks = [
         Rank(
@@ -204,6 +206,16 @@ def compare(
         for key in order
     ]
     return pairs, ranks
+
+
+def fewest_runs(estimators: int, level: float = 0.95) -> int:
+    """Runs below which `compare` cannot tell any two apart, however different they are.
+
+    The least p-value of a signed-rank or a sign test of N runs is 2^(1 - N), and Holm multiplies
+    it by the count of pairs.
+    """
+    pairs = max(1, estimators * (estimators - 1) // 2)
+    return int(np.floor(np.log2(2 * pairs / (1 - level)))) + 1
 
 
 def exponential(i: Interval) -> Interval:

@@ -123,7 +123,8 @@ def accuracies(
 
     Args:
         record: as `records.merge` gives it.
-        names, units: of the coordinates `(n,)`.
+        names: of the coordinates `(n,)`.
+        units: theirs.
         level: confidence.
         precision: wanted relative half-width of RMSE.
     """

@@ -3,6 +3,7 @@
 import numpy as np
 
 from estbench.analysis.compare import Comparison, Contest
+from estbench.analysis.comparison import fewest_runs
 from estbench.analysis.coverage import EXPECTED, SIGMAS
 from estbench.analysis.findings import TRIM
 from estbench.analysis.tables import (
@@ -54,6 +55,17 @@ def _verdicts(contest: Contest, comparison: Comparison) -> Table:
     )  # fmt: skip
 
 
+def few_runs(runs: int, estimators: int, level: float) -> str:
+    """A warning where there are too few runs to tell anything apart, else nothing."""
+    needed = fewest_runs(estimators, level)
+    if runs >= needed or estimators < 2:
+        return ""
+    return (
+        f" With {runs} runs no two of {estimators} estimators can be told apart: take {needed} or "
+        "more."
+    )
+
+
 def _ranking(contest: Contest, comparison: Comparison) -> Table:
     return Table(
         "Ranking by RMSE",
@@ -68,7 +80,8 @@ def _ranking(contest: Contest, comparison: Comparison) -> Table:
         ),
         "The ratio is the geometric mean over the coordinates. = is a tie: not told apart at "
         f"{comparison.level:.0%} (Wilcoxon, Holm over all pairs), or by less than "
-        f"{comparison.margin:.2g} of the error.",
+        f"{comparison.margin:.2g} of the error."
+        + few_runs(len(contest.runs), len(contest.findings), comparison.level),
     )  # fmt: skip
 
 

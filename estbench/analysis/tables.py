@@ -148,6 +148,8 @@ def number(x: float, decimals: int | None = None) -> str:
     """A number, or a sign where there is none."""
     if not np.isfinite(x):
         return "–" if np.isnan(x) else "∞" if x > 0 else "-∞"
+    if decimals is None and 999.5 <= abs(x) < 1e6:
+        return f"{x:.0f}"
     return f"{x:.3g}" if decimals is None or abs(x) >= 1e4 else f"{x:.{decimals}f}"
 
 

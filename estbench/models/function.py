@@ -147,7 +147,8 @@ class FunctionModel:
             if out.shape == shape != (*lead, *shape):  # a constant Jacobian
                 out = np.broadcast_to(out, (*lead, *shape))
         else:
-            rows = zip(x.reshape(-1, x.shape[-1]), u.reshape(-1, u.shape[-1]), strict=True)
+            states = x.reshape(-1, x.shape[-1])
+            rows = zip(states, u.reshape(len(states), u.shape[-1]), strict=True)
             out = np.array([np.asarray(function(a, b, *time), dtype=np.float64) for a, b in rows])
             out = out.reshape(*lead, *out.shape[1:])
         if out.shape != (*lead, *shape):

@@ -76,9 +76,7 @@ class FilterThenSmooth:
 
     def _gaussians(self, beliefs: Sequence[Any]) -> list[Gaussian]:
         """The filter's beliefs as plain Gaussians."""
-        return [
-            Gaussian(mean := self.mean(b), self.cov(b), _fault(b, len(mean))) for b in beliefs
-        ]
+        return [Gaussian(mean := self.mean(b), self.cov(b), _fault(b, len(mean))) for b in beliefs]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import pytest
 
 from estbench.envs.filter import FilterBank
 from estbench.envs.merge import select
+from estbench.envs.replay import Measurement
 from estbench.envs.world import World, prepare
 from estbench.errors import EstimatorError
 from estbench.manifold import Manifold
@@ -111,6 +112,43 @@ def test_rows_outside_a_mask_stand_still():
     assert w.elapsed.tolist() == [2, 3]
 
 
+LATE = {"channels__encoder__rate": 12.5}  # every 8 steps; the gyro every step
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf", "kf"])
+@pytest.mark.parametrize("std", [0.0, 0.01])
+def test_late_readings_are_fused_exactly_once_they_are_there(name, std):
+    late = {"channels__encoder__latency": 0.03, "channels__encoder__latency_std": std}
+    on_time, delayed = world(name, 3, **LATE), world(name, 3, **LATE, **late)
+    apart = []
+    for w in (on_time, delayed):
+        w.reset(np.ones(3, bool), keys(1, 2, 3))
+    for k in range(40):
+        a, b = drive(on_time, 1, k)[0], drive(delayed, 1, k)[0]
+        np.testing.assert_array_equal(a[0], b[0])
+        apart.append(np.abs(a[1] - b[1]).max())
+        if k == 23:  # one row starts anew while a reading is on its way
+            for w in (on_time, delayed):
+                w.reset(np.array([False, True, False]), keys(9))
+    due = np.arange(7, 40, 8)
+    assert (np.array(apart)[due] > 1e-7).all()  # not there yet
+    caught_up = [k for k in range(40) if k % 8 == 6]
+    assert max(np.array(apart)[caught_up]) < 1e-9
+
+
+def test_naive_handling_of_late_readings_is_overconfident():
+    late = {"channels__encoder__latency": 0.2, "channels__gyro__rate": 5.0}
+    mean = {}
+    for handling in ("exact", "naive"):
+        w = world("ekf", 60, **late, filter__delays=f"'{handling}'")
+        w.reset(np.ones(60, bool), np.arange(60, dtype=np.uint64))
+        drive(w, 60)
+        nees = [w.observer.info(w.truth.x)["nees"] for _ in drive(w, 20, 60)]
+        mean[handling] = np.mean(nees) / 2
+    assert 0.8 < mean["exact"] < 1.25
+    assert mean["naive"] > 3
+
+
 class Breaks:
     """A filter whose second row becomes NaN at the third prediction."""
 
@@ -156,7 +194,7 @@ def test_a_failed_row_keeps_its_last_estimate_says_so_and_can_start_anew():
     np.testing.assert_array_equal(bank.estimate, [[5, 5], [1, 1]])
     assert not bank.failed.any()
     with pytest.raises(EstimatorError, match=r"Breaks.update raised KeyError"):
-        bank.update(np.zeros((2, 1)), u, 0.0, ["y"])
+        bank.fuse([Measurement(np.zeros((2, 1)), ("y",))], u, 0.0)
 
 
 def test_infos_are_copies():

@@ -16,6 +16,7 @@ IMPERFECT = [
     "channels.pole_encoder.dropout=0.3", "channels.pole_encoder.dropout_length=3",
     "channels.cart_encoder.outlier_probability=0.1", "channels.cart_encoder.stuck=0.1",
     "channels.cart_encoder.quantization=0.01", "channels.cart_encoder.rate=50",
+    "channels.cart_encoder.latency=0.035", "channels.cart_encoder.latency_std=0.01",
     'truth.draw={"body_mass.pole" = {relative_std = 0.2}}',
 ]  # fmt: skip
 FIELDS = ("truth", "estimate", "error", "nees", "nis", "nis_dof", "innovation", "diverged")
@@ -190,8 +191,8 @@ def test_gymnasiums_vector_wrappers():
         ({"max_episode_steps": 0}, "max_episode_steps is 0"),
         ({"estimator": None}, "observe='state' needs a filter"),
         (
-            {"overrides": ["channels.pole_encoder.latency=0.02"]},
-            "pole_encoder has latency or jitter",
+            {"overrides": ["channels.pole_encoder.jitter=0.02", "channels.pole_encoder.rate=10"]},
+            "pole_encoder.jitter: an environment samples when",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""FilterPy's and Stone Soup's filters in the same protocol, agreeing with ours where they should."""
+"""FilterPy's and Stone Soup's filters in the same protocol, agreeing with ours as they should."""
 
 import builtins
 import importlib

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from estbench import experiment, setup
 from estbench.errors import EstimatorError
 from estbench.estimators.ekf import EKF
 from estbench.estimators.kf import KF, tangent_map
@@ -154,3 +155,28 @@ def test_a_time_varying_process_noise_is_asked_at_every_step():
     belief = estimator.init(np.zeros((1, 2)), np.eye(2)[None])
     at = [estimator.predict(belief, np.zeros((1, 1)), t, 0.1).cov[0] for t in (0.0, 2.0)]
     np.testing.assert_allclose(at[1] - at[0], 2.0 * plain.Q, atol=1e-12)
+
+
+def test_a_robot_is_linearized_about_its_keyframes_control():
+    """A quadrotor hovers at 2.45 N a rotor; about zero thrust its rates would be wrong."""
+    prepared = setup.build(experiment.resolve("quadrotor", duration=0.1))
+    model = prepared.model()
+    np.testing.assert_array_equal(KF(model).u0, prepared.plant.u0)
+    assert min(KF(model).u0) > 2.4
+    assert KF(model, u0=[0.0] * 4).u0 == (0.0,) * 4
+    results = experiment.run(
+        "quadrotor", ["kf", "ekf"], runs=10, duration=0.5, overrides=["initial.std=0.01"]
+    )
+    ours, reference = ([i.value for i in results[name].rmse] for name in ("kf", "ekf"))
+    np.testing.assert_allclose(ours, reference, rtol=0.1)
+
+
+def test_the_linearized_filters_and_their_handover_by_settings():
+    options = ["estimators.a={type='lkf'}", "estimators.b={type='lkf', handover_time=0.0}",
+               "estimators.c={type='lkf', handover_sigma=2.0}"]  # fmt: skip
+    labels = ["ekf", "a", "b", "c"]
+    results = experiment.run("pendulum", labels, runs=10, duration=0.5, overrides=options)
+    rmse = {k: [i.value for i in results[k].rmse] for k in labels}
+    np.testing.assert_allclose(rmse["b"], rmse["ekf"], rtol=1e-12)
+    assert rmse["a"] != rmse["ekf"]
+    assert rmse["c"] not in (rmse["a"], rmse["ekf"])

@@ -164,9 +164,10 @@ def test_a_module_that_is_not_there(name):
         registry.resolve(name)
 
 
-def test_an_installed_packages_entry_point(tmp_path, monkeypatch, capsys):
+def test_an_installed_packages_entry_point(tmp_path, monkeypatch):
     """A distribution that is nothing but its metadata and one module."""
-    (tmp_path / "their_filters.py").write_text(USER.replace("class Good:", "class Good:\n    'Theirs.'"))
+    text = USER.replace("class Good:", "class Good:\n    'Theirs.'")
+    (tmp_path / "their_filters.py").write_text(text)
     info = tmp_path / "their_filters-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-filters\nVersion: 1.0\n")

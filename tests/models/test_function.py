@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import CovarianceError, DimensionError
+from estbench.estimators.ekf import EKF
 from estbench.models.base import Model
 from estbench.models.function import FunctionModel
 from tests.helpers import nonlinear_model
@@ -107,3 +108,40 @@ def test_a_function_for_one_state_says_how_to_declare_it():
 def test_R_must_be_positive_definite():
     with pytest.raises(CovarianceError, match="R is not"):
         FunctionModel(lambda *a: a[0], lambda *a: a[0], np.eye(2), np.diag([1.0, 0.0]))
+
+
+@pytest.mark.parametrize("batched", [True, False])
+def test_process_noise_enters_through_omega_at_the_estimate(batched):
+    """x⁺ = f(x) + Ω(x) w: the EKF's P⁻ is Φ P Φᵀ + Ω Q Ωᵀ (source 002), by hand, run by run."""
+
+    def gain(x, u, t, dt):
+        return dt * np.stack([np.stack([x[..., 1], 1.0 + 0 * x[..., 0]], axis=-1)], axis=-1)
+
+    def f(x, u, t, dt):
+        return np.stack([x[..., 0] + dt * x[..., 1], x[..., 1] - dt * np.sin(x[..., 0])], axis=-1)
+
+    def h(x, u, t):
+        return x[..., :1]
+
+    model = FunctionModel(
+        f, h, 0.3 * np.eye(1), np.eye(1), batched=batched, noise_gain=gain, n_states=2
+    )
+    x, u, dt = inputs(2)[0], np.zeros((3, 0)), 0.2
+    P = np.tile(np.diag([0.5, 0.2]), (3, 1, 1))
+    ekf = EKF(model)
+    belief = ekf.predict(ekf.init(x, P), u, 0.0, dt)
+    for i in range(3):
+        F = np.array([[1.0, dt], [-dt * np.cos(x[i, 0]), 1.0]])
+        Omega = dt * np.array([[x[i, 1]], [1.0]])
+        expected = F @ P[i] @ F.T + 0.3 * Omega @ Omega.T
+        np.testing.assert_allclose(belief.cov[i], expected, atol=1e-8)
+
+
+def test_a_constant_omega_is_that_of_the_covariance_itself():
+    Omega = np.array([[1.0, 0.5], [0.0, 2.0], [1.0, 1.0]])
+    model = FunctionModel(
+        lambda x, *_: x, lambda x, *_: x, np.diag([2.0, 3.0]), np.eye(3), noise_gain=Omega
+    )
+    assert model.space.n == 3
+    expected = Omega @ np.diag([2.0, 3.0]) @ Omega.T
+    np.testing.assert_array_equal(model.process_noise(np.zeros((1, 3)), np.zeros((1, 0))), expected)

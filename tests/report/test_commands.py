@@ -4,6 +4,7 @@ import sys
 
 import pytest
 
+import estbench.report
 from estbench import cli
 from tests.report.conftest import needs_gl
 
@@ -15,7 +16,7 @@ def call(monkeypatch, capsys, *words):
         cli.main()
         code = 0
     except SystemExit as stop:
-        code = stop.code
+        code = stop.code or 0
     out, err = capsys.readouterr()
     return code, out, err
 
@@ -35,6 +36,7 @@ def without(monkeypatch, package):
     for name in list(sys.modules):
         if name.partition(".")[0] == package or name.startswith("estbench.report."):
             monkeypatch.delitem(sys.modules, name)
+            monkeypatch.delattr(estbench.report, name.rpartition(".")[2], raising=False)
     monkeypatch.setitem(sys.modules, package, None)
 
 

@@ -64,9 +64,7 @@ def test_a_window_starts_from_the_filter_and_knows_its_own_measurements(window, 
     first = 0
     for last in ends:
         part = slice(first, last + 1)
-        expected = rts(
-            model, whole.beliefs[part], whole.controls[first:last], whole.times[part]
-        )
+        expected = rts(model, whole.beliefs[part], whole.controls[first:last], whole.times[part])
         # A time between two windows is the start of the later one.
         for k in range(first, last if last < 6 else last + 1):
             np.testing.assert_allclose(smoothed[k].mean, expected[k - first].mean, atol=1e-8)
@@ -192,9 +190,7 @@ def test_in_one_table_with_their_filters():
         assert results[name].diverged == 0
         assert results[name].anees.low < 1.15
         assert results[name].anees.high > 0.85
-        assert all(
-            a.value < 0.9 * b.value for a, b in zip(results[name].rmse, results["ekf"].rmse)
-        )
+        assert all(a.value < 0.9 * b.value for a, b in zip(results[name].rmse, results["ekf"].rmse))
     assert results["rts"].anis.value == results["ekf"].anis.value
 
 

@@ -1,0 +1,80 @@
+"""The examples run and show what they say."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estbench import cli, experiment
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run(name, runs, duration, **options):
+    return experiment.run(EXAMPLES / f"{name}.toml", runs=runs, duration=duration, **options)
+
+
+def rmse(results, label):
+    return np.array([i.value for i in results[label].rmse])
+
+
+def test_a_wrong_start_is_mended_by_the_batch_fit_and_not_by_inflation():
+    results = run("wrong_start", 20, 0.8)
+    for label in ("cold", "inflated"):
+        assert results[label].anees.low > 5.0
+        assert (rmse(results, label) > 4.0 * rmse(results, "warm")).all()
+    assert results["warm"].anees.value == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_sensor_bias_is_mended_by_bias_states_and_not_by_more_process_noise():
+    results = run("sensor_bias", 20, 1.5)
+    assert results["ekf"].anees.low > 5.0
+    assert results["more_q"].anees.low > 1.5
+    assert (rmse(results, "ekf") > 2.0 * rmse(results, "bias_ekf")).all()
+    assert (rmse(results, "more_q") > 2.0 * rmse(results, "bias_ekf")).all()
+    assert results["bias_ekf"].anees.value == pytest.approx(1.0, abs=0.2)
+    assert (rmse(results, "consider") > rmse(results, "bias_ekf")).all()
+
+
+def test_outliers_are_mended_by_gating_and_by_robust_updates():
+    results = run("outliers", 20, 1.0)
+    assert results["ekf"].anees.low > 3.0
+    for label in ("gated", "huber", "student_t"):
+        assert results[label].anees.value < results["ekf"].anees.value / 3
+        assert rmse(results, "ekf")[0] > 1.5 * rmse(results, label)[0]
+
+
+def test_a_filter_of_ones_own_from_the_command_line(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(EXAMPLES.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    words = ["run", "pendulum", "-e", "ekf", "-e", "examples.my_filter:MyFilter", "--runs", "2",
+             "--duration", "0.2", "--out", str(tmp_path / "out"),
+             "--json"]  # fmt: skip
+    monkeypatch.setattr(sys, "argv", ["estbench", *words])
+    with pytest.raises(SystemExit) as exit_:
+        cli.main()
+    assert not exit_.value.code
+    assert '"MyFilter"' in capsys.readouterr().out
+
+
+def test_ones_own_filter_settles_at_the_ekf(monkeypatch):
+    monkeypatch.chdir(EXAMPLES.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    results = experiment.run(
+        "pendulum", ["ekf", "examples.my_filter:MyFilter"], runs=10, duration=2.0,
+        overrides=["consistency.burn_in=1"],
+    )  # fmt: skip
+    np.testing.assert_allclose(rmse(results, "MyFilter"), rmse(results, "ekf"), rtol=0.15)
+    assert results["MyFilter"].anees.value == pytest.approx(results["ekf"].anees.value, rel=0.15)
+
+
+def test_ones_own_filter_takes_settings_and_missing_readings(monkeypatch):
+    monkeypatch.chdir(EXAMPLES.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    results = experiment.run(
+        "pendulum", ["mine"], runs=4, duration=0.5,
+        overrides=['estimators.mine={type="examples.my_filter:MyFilter", scale=4.0}',
+                   "channels.encoder.dropout=0.3", "channels.gyro.rate=50"],
+    )  # fmt: skip
+    assert results["mine"].diverged == 0
