@@ -144,7 +144,9 @@ def main() -> None:
     args = parser.parse_args()
     threads = executors.cpu_count()
     print(f"cartpole, {args.steps} steps of 0.01 s; {threads} threads; median of {args.repeat}")
-    print(f"{'':8}{'estbench':>12}{'FilterPy':>12}{'ratio':>8}{'min':>7}{'max':>7}   over the floor")
+    print(
+        f"{'':8}{'estbench':>12}{'FilterPy':>12}{'ratio':>8}{'min':>7}{'max':>7}   over the floor"
+    )
     for kind, target in (("ekf", 6), ("ukf", 12)):
         prepared = prepare(kind, args.runs, args.steps)
         peer = Peer(prepared)

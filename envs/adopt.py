@@ -53,7 +53,8 @@ def mujoco_parts(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
         EnvError: it has none.
     """
     base = env.unwrapped
-    model, data = getattr(base, "model", None), getattr(base, "data", None)
+    model: Any = getattr(base, "model", None)
+    data: Any = getattr(base, "data", None)
     if not (isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData)):
         raise EnvError(
             f"{type(base).__name__} is not a MuJoCo environment: its unwrapped needs a `model` "

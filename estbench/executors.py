@@ -66,7 +66,9 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
         MissingExtraError: dask.distributed is not installed.
     """
     if kind == "threads":
-        return Pool(lambda: ThreadPoolExecutor(workers, "estbench"), workers, _leave, 2 * workers, True)
+        return Pool(
+            lambda: ThreadPoolExecutor(workers, "estbench"), workers, _leave, 2 * workers, True
+        )
     if kind == "processes":
         context = multiprocessing.get_context("spawn")
         return Pool(
@@ -158,7 +160,9 @@ def _ignore_interrupt() -> None:
 
 def _dask(address: str | None) -> Pool:
     if not address:
-        raise ExecutorError("executor dask needs the scheduler's address, e.g. tcp://127.0.0.1:8786")
+        raise ExecutorError(
+            "executor dask needs the scheduler's address, e.g. tcp://127.0.0.1:8786"
+        )
     try:
         from distributed import Client
     except ImportError:
@@ -177,5 +181,3 @@ def _dask(address: str | None) -> Pool:
         client.close()
 
     return Pool(lambda: client.get_executor(retries=2), workers, close, 2 * workers)
-
-

@@ -204,8 +204,8 @@ def run_filter(
             cpu_time += time.thread_time() - began
             if len(smoothed) != len(recorder.truth):
                 raise DimensionError(
-                    f"{type(estimator).__name__}: smooth returned {len(smoothed)} beliefs; expected "
-                    f"{len(recorder.truth)}, one a time and one for the start"
+                    f"{type(estimator).__name__}: smooth returned {len(smoothed)} beliefs; "
+                    f"expected {len(recorder.truth)}, one a time and one for the start"
                 )
             for k, belief in enumerate(smoothed):
                 recorder.add(k, recorder.truth[k], belief)

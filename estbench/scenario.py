@@ -4,6 +4,7 @@ Unknown keys and wrong types are reported all at once, each with its path. Quant
 (`PerName`) are a number, a list, or a table of glob patterns, of which the last match counts.
 """
 
+import re
 import tomllib
 from collections.abc import Sequence
 from importlib import resources
@@ -358,7 +359,7 @@ def start(scenario: Scenario, label: str) -> StartSection:
     try:
         return StartSection.model_validate(scenario.start.model_dump() | own)
     except ValidationError as error:
-        mistakes = (_explain(e, StartSection) for e in error.errors())
+        mistakes = (_explain(e, StartSection) for e in _mistakes(error))
         raise ScenarioError(
             "; ".join(f"estimators.{label}.start.{mistake}" for mistake in mistakes)
         ) from None
@@ -373,7 +374,7 @@ def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Sc
         return Scenario.model_validate(data)
     except ValidationError as error:
         raise ScenarioError(
-            f"{source}: " + "; ".join(_explain(e) for e in error.errors())
+            f"{source}: " + "; ".join(_explain(e) for e in _mistakes(error))
         ) from None
 
 
@@ -443,6 +444,25 @@ def _portable(path: Path) -> str:
     if resolved.is_relative_to(root):
         return f"estbench:assets/{resolved.relative_to(root).as_posix()}"
     return str(resolved)
+
+
+_OTHER = {"string_type", "list_type", "float_type", "int_type", "dict_type"}
+_BRANCH = re.compile(r"(float|str|int|list|dict|tuple|function-after|constrained-\w+)\b(\[.*)?")
+
+
+def _mistakes(error: ValidationError) -> list[Any]:
+    """The errors of a validation, without the names of a union's branches and those not meant."""
+    found = []
+    for e in error.errors():
+        own = tuple(p for p in e["loc"] if isinstance(p, int) or not _BRANCH.fullmatch(p))
+        found.append({**e, "loc": own, "other": e["type"] in _OTHER})
+    # A number that is wrong is no list either: one mistake, and that is the number.
+    meant = [e["loc"] for e in found if not e["other"]]
+    kept: dict[tuple[Any, ...], Any] = {}
+    for e in found:
+        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in meant):
+            kept.setdefault(e["loc"], e)
+    return list(kept.values())
 
 
 def _explain(error: Any, root: type[Section] = Scenario) -> str:

@@ -9,6 +9,7 @@ from estbench import records, scenario, setup
 from estbench.models.rows import engine
 from estbench.store import Store
 
+
 @dataclass(frozen=True)
 class Task:
     """What a worker is told; small, so that it travels.
@@ -28,9 +29,7 @@ class Task:
     runs: tuple[int, int]
 
 
-def work(
-    task: Task, stop: Callable[[], bool] = lambda: False
-) -> dict[str, records.Record] | None:
+def work(task: Task, stop: Callable[[], bool] = lambda: False) -> dict[str, records.Record] | None:
     """Compute and write a batch; its summary records, or None when `stop` answered True.
 
     Raises:

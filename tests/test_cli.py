@@ -87,7 +87,9 @@ def contents(folder):
 
 def test_run_prints_tables_and_writes_a_folder(call, folder):
     code, out, err = call("run", "cartpole", "-e", "ekf", "--estimator", "ukf", *SHORT)
-    assert (code, err) == (0, "")
+    assert code == 0
+    # On a busy machine the run may take the two seconds after which progress is shown.
+    assert [line for line in err.splitlines() if not line.startswith("4/4 runs, ")] == []
     assert out.startswith("cartpole: 4 runs x 0.1 s (10 steps), seed 0\n")
     for word in ("ekf", "ukf", "consistent", "NEES/n", "NIS/m", "pole.vel", "rad/s", "RMSE"):
         assert word in out

@@ -18,6 +18,7 @@ import pytest
 
 import estbench
 from estbench import cli
+from estbench.errors import MissingExtraError
 from estbench.scenario import Scenario
 
 ROOT = Path(__file__).parents[1]
@@ -115,6 +116,6 @@ def modules():
 def test_docstrings(name):
     try:
         module = importlib.import_module(name)
-    except ImportError as error:
+    except (ImportError, MissingExtraError) as error:
         pytest.skip(f"an optional dependency is missing: {error}")
     assert doctest.testmod(module).failed == 0

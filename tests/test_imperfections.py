@@ -19,8 +19,8 @@ TURN = Manifold(("rx", "ry", "rz"), ("rad",) * 3, np.array([[0, 0]]))
 
 def ideal(m=1, **parts: Any):
     zero = np.zeros(m)
-    given: dict[str, Any] = {"bias": zero, "walk": zero, "drift": zero, "scale_factor": zero, "quantization": zero,
-             "cutoff": zero + np.inf, "deadband": zero}  # fmt: skip
+    names = ("bias", "walk", "drift", "scale_factor", "quantization", "deadband")
+    given: dict[str, Any] = {"cutoff": zero + np.inf, **dict.fromkeys(names, zero)}
     for name, value in parts.items():
         given[name] = np.full(m, value) if name in given else value
     return Imperfections(**given)
@@ -244,6 +244,7 @@ def test_only_the_runs_that_read_now_remember_it():
     state = imperfections.advance(part, np.zeros((3, 1)), state, free, 0.2)
     now = np.array([True, False, True])
     y, state = imperfections.respond(part, LINE, np.full((3, 1), 2.0), state, now)
+    assert state.last is not None
     np.testing.assert_array_equal(state.last[:, 0], [2.0, 1.0, 2.0])
     stuck = {"stuck": np.zeros((3, 1))}
     state = imperfections.advance(part, np.zeros((3, 1)), state, stuck, 0.3)

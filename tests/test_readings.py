@@ -1,5 +1,7 @@
 """Who samples when, what arrives when: counted, and compared with MuJoCo's own sensordata."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 import pytest
@@ -25,7 +27,7 @@ NOTHING = {
 }  # fmt: skip
 
 
-def readings(section, runs=range(4), steps=60, name="lift_encoder", frame_skip=1):
+def readings(section, runs: Sequence[int] = range(4), steps=60, name="lift_encoder", frame_skip=1):
     model = zoo_model("joints")  # 4 ms steps
     (channel,), _ = sensors.build(model, {name: ChannelSection(**section)}, [name], frame_skip)
     found = instants([(name, channel.timing)], model.opt.timestep, frame_skip, 0.004 * steps)

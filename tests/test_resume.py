@@ -97,7 +97,9 @@ def test_a_store_of_another_scenario_is_refused(whole, options):
         run(whole.folder, resume=True, **options)
 
 
-@pytest.mark.parametrize("name", ["ekf/anees/c/3", "ekf/error/c/3/0/0", "truth/x/c/3/0/0", "done/c/3"])
+@pytest.mark.parametrize(
+    "name", ["ekf/anees/c/3", "ekf/error/c/3/0/0", "truth/x/c/3/0/0", "done/c/3"]
+)
 def test_a_corrupted_chunk_is_computed_again_and_said(whole, tmp_path, name):
     run(tmp_path / "x")
     chunk = tmp_path / "x" / store.STORE / name

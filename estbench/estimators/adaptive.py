@@ -57,7 +57,7 @@ class AdaptiveEKF(EKF):
 
     Attributes:
         model: the filter's model.
-        covariance_update: not used here; the update is in Joseph's form.
+        covariance_update: `joseph` only.
         adapt: what follows the innovations.
         window: memory, in arrivals; at least 2.
         inflation: Υ's diagonal, at least 1: a number, a list, or {coordinate pattern: factor}.
@@ -75,6 +75,7 @@ class AdaptiveEKF(EKF):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        one_of(self, "covariance_update", ("joseph",))
         one_of(self, "adapt", ("none", "R", "Q", "both"))
         whole(self, "window", 2)
         in_range(self, "fading", 1.0)

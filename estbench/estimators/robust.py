@@ -28,7 +28,7 @@ class RobustEKF(EKF):
 
     Attributes:
         model: the filter's model.
-        covariance_update: not used here; the update is in Joseph's form.
+        covariance_update: `joseph` only.
         method: `gate_components` leaves out a component when ν²/S exceeds the chi-square quantile,
             `gate` the whole measurement when NIS does (Bar-Shalom, Li & Kirubarajan 2001);
             `huber` minimizes the prior's square and Huber's loss of the measurement's
@@ -49,6 +49,7 @@ class RobustEKF(EKF):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        one_of(self, "covariance_update", ("joseph",))
         one_of(self, "method", ("gate_components", "gate", "huber", "student_t"))
         in_range(self, "gate", 0.0, 1.0, low_open=True)
         in_range(self, "threshold", 0.0, low_open=True)

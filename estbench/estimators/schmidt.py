@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from estbench.estimators.base import Gaussian, Innovation, correct, settle
 from estbench.estimators.ekf import EKF
+from estbench.estimators.settings import one_of
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels
 from estbench.naming import expand
@@ -29,7 +30,7 @@ class SchmidtEKF(EKF):
 
     Attributes:
         model: the filter's model.
-        covariance_update: not used here; the update is in Joseph's form.
+        covariance_update: `joseph` only.
         considered: patterns of the state coordinates that are not estimated; none makes it the EKF.
 
     Raises:
@@ -41,6 +42,7 @@ class SchmidtEKF(EKF):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        one_of(self, "covariance_update", ("joseph",))
         patterns = dict.fromkeys(self.considered, 0.0)
         what = f"{type(self).__name__}: considered"
         estimated = expand(patterns, self.model.space.names, what, default=1.0)

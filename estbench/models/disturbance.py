@@ -79,8 +79,8 @@ class Disturbance:
             Q = np.asarray(matrix, dtype=np.float64)
             if Q.shape != (len(names), len(names)):
                 raise DimensionError(
-                    f"process_noise.matrix has shape {Q.shape}; expected {(len(names), len(names))} "
-                    f"for kind '{kind}' ({', '.join(names)})"
+                    f"process_noise.matrix has shape {Q.shape}; expected "
+                    f"{(len(names), len(names))} for kind '{kind}' ({', '.join(names)})"
                 )
             smallest = np.linalg.eigvalsh(Q).min() if np.isfinite(Q).all() else np.nan
             if not np.allclose(Q, Q.T) or not smallest >= -1e-12 * max(1.0, np.abs(Q).max()):

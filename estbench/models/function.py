@@ -47,7 +47,7 @@ class FunctionModel:
     f_jacobian: Function | None = None
     h_jacobian: Function | None = None
     batched: bool = True
-    differences: Differences = Differences("centered", 1e-5)
+    differences: Differences = Differences("centered", 1e-5)  # noqa: RUF009 it is frozen
     names: tuple[str, ...] | None = None
     units: tuple[str, ...] | None = None
     noise_gain: Function | Array | None = None

@@ -220,6 +220,8 @@ def control_limits(model: mujoco.MjModel) -> tuple[Array, Array]:
 
 def clamp(model: mujoco.MjModel, u: Array) -> Array:
     """Controls `(..., nu)` clipped to the actuators' ctrlrange, as MuJoCo would."""
+    if not model.actuator_ctrllimited.any():
+        return u
     low, high = control_limits(model)
     return np.minimum(np.maximum(u, low), high)
 

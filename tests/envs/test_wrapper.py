@@ -339,3 +339,31 @@ def test_a_step_after_the_end_and_actions_outside():
     with pytest.raises(EnvError, match=r"action has shape \(2,\); expected \(1,\)"):
         env.step(np.zeros(2, np.float32))
     env.step(np.full(1, 3, np.float32))
+
+
+def test_mujocos_global_settings_are_put_back():
+    from estbench.models import rows
+
+    before = rows._depth
+    envs = [wrapped(estimator="ekf"), gym.make("estbench/Pendulum-v0")]
+    assert rows._depth == before + 2
+    for env in envs:
+        env.close()
+        env.close()
+    assert rows._depth == before
+
+
+def test_wrapped_environments_in_other_processes():
+    env = gym.make_vec(
+        "InvertedPendulum-v5", 2, vectorization_mode="async",
+        wrappers=[lambda e: EstimatedObservation(e, "ekf", SLIDE)],
+    )  # fmt: skip
+    try:
+        observations, infos = env.reset(seed=0)
+        np.testing.assert_array_equal(
+            observations[1], wrapped(estimator="ekf", sensors=SLIDE).reset(seed=1)[0]
+        )
+        assert infos["estimate"].shape == (2, 4)
+        env.step(env.action_space.sample())
+    finally:
+        env.close()

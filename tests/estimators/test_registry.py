@@ -1,4 +1,7 @@
+import importlib
+import inspect
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from estbench.estimators.ukf import UKF
 from tests.helpers import DISCRETE, linear_model
 
 MODEL = linear_model(0)
+JOSEPH_ONLY = {"robust_ekf", "adaptive_ekf", "schmidt_ekf"}
 
 USER = """
 class Good:
@@ -191,3 +195,24 @@ def test_every_registered_name_is_a_class_with_a_first_line():
     for name, line in inspection.catalogue()["estimators"].items():
         assert line.endswith((".", ":", ",")) or len(line) > 20, name
         assert not line.startswith("cannot be imported"), name
+
+
+def test_every_estimator_and_setting_is_documented():
+    page = (Path(__file__).parents[2] / "docs" / "estimators.md").read_text(encoding="utf-8")
+    missing = []
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    for name, target in registry.BUILTIN.items():
+        (row,) = [row for row in rows if f"`{name}`" in row.split("|")[1]]
+        module, _, attribute = target.partition(":")
+        settings = inspect.signature(getattr(importlib.import_module(module), attribute)).parameters
+        for setting in settings.keys() - {"model", "models"}:
+            one_value = setting == "covariance_update" and name in JOSEPH_ONLY
+            if f"`{setting}`" not in row and not one_value:
+                missing.append((name, setting))
+    assert not missing
+
+
+@pytest.mark.parametrize("name", sorted(JOSEPH_ONLY))
+def test_a_form_that_would_not_be_used_is_refused(name):
+    with pytest.raises(EstimatorError, match="covariance_update is 'simplified'; use one of jos"):
+        registry.create(name, {"covariance_update": "simplified"}, MODEL)
