@@ -22,7 +22,7 @@ def recorded() -> Iterator[list[Call]]:
     calls: list[Call] = []
     original = rows.Rows._run
 
-    def run(self, batch, bad, nstep, stage):  # noqa: ANN001, ANN202
+    def run(self, batch, bad, nstep, stage):
         calls.append((batch, nstep, stage))
         return original(self, batch, bad, nstep, stage)
 

@@ -163,7 +163,8 @@ def main() -> None:
         ratios = [r for _, _, r in pairs]
         floors = [over_floor(prepared) for _ in range(args.repeat)]
         print(
-            f"{kind:8}{mine:9.2f} µs{theirs:9.1f} µs{ratio:7.1f}x{min(ratios):6.1f}x{max(ratios):6.1f}x"
+            f"{kind:8}{mine:9.2f} µs{theirs:9.1f} µs{ratio:7.1f}x{min(ratios):6.1f}x"
+            f"{max(ratios):6.1f}x"
             f"   {statistics.median(floors):.3f} ({min(floors):.3f}-{max(floors):.3f}),"
             f" targets {target}x, 1.25"
         )

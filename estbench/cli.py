@@ -124,7 +124,7 @@ def control(
     overrides: Overrides = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of a table")] = False,
 ) -> None:
-    """Run a controller on the truth, on each estimate and on raw readings: what the filter costs."""
+    """Run a controller on the truth, each estimate and raw readings: what the filter costs."""
     from estbench.envs import control as loop  # gymnasium takes long to import
     from estbench.envs import control_table
 

@@ -80,6 +80,7 @@ class Results:
         parts += [_verdicts(self.summaries, self.scenario.consistency.level)]
         parts += [_accuracy(self.summaries, self.names, self.units)]
         parts += [Text(line, style="red") for line in _failures(self.summaries)]
+        parts += [Text(line, style="yellow") for line in _late(self.summaries)]
         if self.folder is not None:
             parts.append(Text(f"written to {self.folder}"))
         return Group(*parts)
@@ -111,6 +112,7 @@ class Results:
                         )
                     },
                     "failures": [vars(f) for f in s.failures],
+                    "late_readings": s.late,
                 }
                 for s in self.summaries
             },
@@ -190,6 +192,14 @@ def _failures(summaries: tuple[Summary, ...], most: int = 3) -> list[str]:
         if len(s.failures) > most:
             lines.append(f"{s.label}: ... and {len(s.failures) - most} more failed runs")
     return lines
+
+
+def _late(summaries: tuple[Summary, ...]) -> list[str]:
+    return [
+        f"note: {s.label}: {s.late} readings came later than filter.window and were not fused"
+        for s in summaries
+        if s.late
+    ]
 
 
 def interval(i: Interval) -> str:

@@ -61,7 +61,7 @@ def log(q: Array) -> Array:
 
 
 def skew(v: Array) -> Array:
-    """The cross product as a matrix `(..., 3, 3)`: skew(v) w = v × w."""
+    """The matrix `(..., 3, 3)` of the cross product, v × w = S w with S = skew of v."""
     x, y, z = np.moveaxis(v, -1, 0)
     o = np.zeros_like(x)
     rows = [np.stack(r, axis=-1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])]

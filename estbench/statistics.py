@@ -51,6 +51,7 @@ class Summary:
         std: root of the mean variance the filter reports `(n,)`.
         cost: microseconds of one core per run and step, predict and update.
         failures: the runs with a numerical failure.
+        late: readings, of all runs, that came after the window and were not fused.
     """
 
     label: str
@@ -67,6 +68,7 @@ class Summary:
     std: Array
     cost: float
     failures: tuple[Failure, ...]
+    late: int = 0
 
 
 def summarize(
@@ -116,4 +118,5 @@ def summarize(
             )
             for i in failed.tolist()
         ),
+        late=int(record["late"].sum()),
     )

@@ -35,7 +35,7 @@ def test_bias_instability_is_a_drift_whose_allan_peak_is_its_floor():
     drift = part("gyro", bias_instability=0.001, drift_time=50.0)
     np.testing.assert_allclose(drift.drift * datasheet.ALLAN_PEAK, 0.001 * datasheet.ALLAN_FLOOR)
     assert drift.drift_time == 50.0
-    assert datasheet.ALLAN_FLOOR == pytest.approx(np.sqrt(2 * np.log(2) / np.pi), abs=1e-4)
+    assert pytest.approx(np.sqrt(2 * np.log(2) / np.pi), abs=1e-4) == datasheet.ALLAN_FLOOR
 
 
 def test_the_peak_of_a_gauss_markov_drifts_allan_deviation():

@@ -3,85 +3,113 @@ import pytest
 
 from estbench.lags import LAGS, Lags
 
+WIDTHS = {"gyro": 2, "position": 1}
 
-def products(whites, masks=None):
-    """Sums and terms of one group's innovations `(step, run, m)`, with loops."""
-    steps, runs, m = whites.shape
-    masks = np.ones((steps, runs, m), bool) if masks is None else masks
+
+def by_hand(arrivals, runs):
+    """Sums and terms: each run's and component's arrivals in order, multiplied with loops.
+
+    Args:
+        arrivals: (channels, white, mask) one after the other.
+        runs: how many.
+    """
     sums, terms = np.zeros((runs, LAGS + 1)), np.zeros((runs, LAGS + 1), int)
-    for lag in range(LAGS + 1):
-        for k in range(lag, steps):
-            both = masks[k] & masks[k - lag]
-            sums[:, lag] += (whites[k] * whites[k - lag] * both).sum(axis=-1)
-            terms[:, lag] += both.sum(axis=-1)
+    for run in range(runs):
+        series = {(name, i): [] for name, width in WIDTHS.items() for i in range(width)}
+        for channels, white, mask in arrivals:
+            places = [(name, i) for name in channels for i in range(WIDTHS[name])]
+            for j, place in enumerate(places):
+                if mask is None or mask[run, j]:
+                    series[place].append(white[run, j])
+        for y in series.values():
+            for lag in range(LAGS + 1):
+                sums[run, lag] += sum(y[k] * y[k - lag] for k in range(lag, len(y)))
+                terms[run, lag] += max(0, len(y) - lag)
     return sums, terms
 
 
-@pytest.mark.parametrize("steps", [1, 2, LAGS, 3 * LAGS])
-@pytest.mark.parametrize("m", [1, 3])
-def test_sums_are_those_of_a_loop(steps, m):
-    whites = np.random.default_rng(steps).standard_normal((steps, 4, m))
-    lags = Lags(4)
-    for k, white in enumerate(whites):
-        lags.put(k, 0, ("gyro",), white)
-        if k % 3 == 0:
+def fed(arrivals, runs, settle=3):
+    lags = Lags(runs, WIDTHS)
+    for k, (channels, white, mask) in enumerate(arrivals):
+        lags.put(k, 0, channels, white, mask)
+        if k % settle == 0:
             lags.settle(k)
-    for got, expected in zip(lags.finish(), products(whites)):
+    return lags.finish()
+
+
+def check(arrivals, runs):
+    for got, expected in zip(fed(arrivals, runs), by_hand(arrivals, runs)):
         np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
-def test_what_did_not_arrive_counts_in_neither():
-    rng = np.random.default_rng(0)
-    masks = rng.uniform(size=(30, 4, 2)) < 0.7
-    whites = np.where(masks, rng.standard_normal((30, 4, 2)), 0.0)
-    lags = Lags(4)
-    for k in range(30):
-        everything = k % 4 == 0  # sometimes all arrive, and no mask is given
-        masks[k] |= everything
-        lags.put(k, 0, ("gyro",), whites[k], None if everything else masks[k])
-    for got, expected in zip(lags.finish(), products(whites, masks)):
-        np.testing.assert_allclose(got, expected, atol=1e-12)
+def normal(seed, steps, runs=4, m=2):
+    return np.random.default_rng(seed).standard_normal((steps, runs, m))
 
 
-def test_other_channels_have_their_own_past():
-    whites = np.random.default_rng(1).standard_normal((20, 3, 2))
-    lags, groups = Lags(3), {("gyro",): [], ("gyro", "position"): []}
-    for k, white in enumerate(whites):
-        channels = ("gyro", "position") if k % 4 == 0 else ("gyro",)
-        white = white if k % 4 == 0 else white[:, :1]
-        groups[channels].append(white)
-        lags.put(k, 0, channels, white)
-    expected = [products(np.array(g)) for g in groups.values()]
-    sums, terms = lags.finish()
-    np.testing.assert_allclose(sums, expected[0][0] + expected[1][0], atol=1e-12)
-    np.testing.assert_array_equal(terms, expected[0][1] + expected[1][1])
+@pytest.mark.parametrize("steps", [1, 2, LAGS, 3 * LAGS])
+def test_sums_are_those_of_a_loop(steps):
+    check([(("gyro",), white, None) for white in normal(steps, steps)], 4)
+
+
+def test_what_did_not_arrive_is_neither_counted_nor_waited_for():
+    masks = np.random.default_rng(0).uniform(size=(30, 4, 2)) < 0.7
+    whites = np.where(masks, normal(1, 30), 0.0)
+    check([(("gyro",), white, mask) for white, mask in zip(whites, masks)], 4)
+
+
+def test_a_mask_now_and_then():
+    masks = np.random.default_rng(2).uniform(size=(30, 4, 2)) < 0.7
+    check(
+        [
+            (("gyro",), white, mask if k % 3 else None)
+            for k, (white, mask) in enumerate(zip(normal(3, 30), masks))
+        ],
+        4,
+    )
+
+
+def test_components_have_their_own_past_whatever_comes_with_them():
+    arrivals = []
+    for k, white in enumerate(normal(4, 40, m=3)):
+        channels = [("gyro",), ("gyro", "position"), ("position",), ("gyro",)][k % 4]
+        m = sum(WIDTHS[name] for name in channels)
+        arrivals.append((channels, white[:, :m], None))
+    check(arrivals, 4)
+
+
+def test_runs_do_not_depend_on_their_batch():
+    masks = np.random.default_rng(5).uniform(size=(30, 6, 2)) < 0.7
+    arrivals = [(("gyro",), w, m) for w, m in zip(normal(6, 30, runs=6), masks)]
+    whole = fed(arrivals, 6)
+    part = fed([(c, w[2:4], m[2:4]) for c, w, m in arrivals], 2)
+    for got, expected in zip(part, whole):
+        np.testing.assert_array_equal(got, expected[2:4])
 
 
 def test_a_replay_replaces_what_is_not_settled():
-    whites = np.random.default_rng(2).standard_normal((8, 2, 1))
-    lags = Lags(2)
+    whites = normal(7, 8)
+    lags = Lags(4, WIDTHS)
     for k in range(8):
-        lags.put(k, 0, ("gyro",), np.full((2, 1), 99.0) if k > 3 else whites[k])
+        lags.put(k, 0, ("gyro",), np.full((4, 2), 99.0) if k > 3 else whites[k])
         lags.settle(min(k, 4))
     for k in range(4, 8):
         lags.put(k, 0, ("gyro",), whites[k])
-    np.testing.assert_allclose(lags.finish()[0], products(whites)[0])
+    expected = by_hand([(("gyro",), white, None) for white in whites], 4)
+    np.testing.assert_allclose(lags.finish()[0], expected[0])
 
 
 def test_a_failed_run_spoils_only_itself():
-    whites = np.random.default_rng(3).standard_normal((9, 3, 2))
+    whites = normal(8, 9)
     whites[5:, 1] = np.nan
-    lags = Lags(3)
-    for k, white in enumerate(whites):
-        lags.put(k, 0, ("gyro",), white)
-    sums, _ = lags.finish()
+    sums, terms = fed([(("gyro",), white, None) for white in whites], 4)
     assert np.isnan(sums[1, 0])
-    np.testing.assert_allclose(sums[[0, 2]], products(whites[:, [0, 2]])[0])
+    keep = [0, 2, 3]
+    expected = by_hand([(("gyro",), white[keep], None) for white in whites], 3)
+    np.testing.assert_allclose(sums[keep], expected[0])
+    np.testing.assert_array_equal(terms[keep], expected[1])
 
 
-def test_no_components_and_no_innovations():
-    lags = Lags(2)
-    assert not np.any(lags.finish()[1])
-    lags.put(0, 0, ("none",), np.empty((2, 0)))
-    lags.put(1, 0, ("none",), np.empty((2, 0)))
-    assert not np.any(lags.finish()[1])
+def test_nothing_arrived():
+    sums, terms = Lags(2, WIDTHS).finish()
+    assert sums.shape == terms.shape == (2, LAGS + 1)
+    assert not terms.any()

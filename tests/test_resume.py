@@ -58,7 +58,7 @@ def test_kill_9_and_resume_gives_the_uninterrupted_store(tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     done = finished(tmp_path / "x")
-    assert 0 < done
+    assert done > 0
     computed = []
     options = {"estimators": ["ekf"], "runs": 400, "duration": 2.0}
     results = experiment.run(
@@ -120,10 +120,8 @@ def test_a_store_deleted_while_running_is_said(tmp_path):
 
         shutil.rmtree(tmp_path / "x" / store.STORE, ignore_errors=True)
 
-    with pytest.raises(StoreError, match=r"deleted|cannot be written") as caught:
-        results = run(tmp_path / "x", progress=delete, workers=1)
-        assert any("cannot be written" in n for n in results.notices)
-        raise StoreError("deleted: " + results.notices[-1])
+    with pytest.raises(StoreError, match="cannot be written") as caught:
+        run(tmp_path / "x", progress=delete, workers=1)
     assert "\n" not in str(caught.value)
 
 

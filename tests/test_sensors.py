@@ -5,8 +5,8 @@ from scipy import stats
 
 from estbench import sensors
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
-from estbench.scenario import ChannelSection
-from estbench.timing import Timing, instants
+from estbench.scenario import BelievedChannelSection, ChannelSection
+from estbench.timing import Native, Timing, instants
 from tests.helpers import zoo_model
 
 FULL_R = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.05]]
@@ -211,3 +211,113 @@ def test_instants_join_and_every_reading_is_on_time(periods, frame_skip):
 @pytest.mark.parametrize(("duration", "steps"), [(1e-6, 1), (0.05, 10), (0.0524, 10), (0.053, 11)])
 def test_the_duration_is_rounded_to_whole_steps(duration, steps):
     assert len(schedule([1], duration=duration)) == steps
+
+
+# Several sensors together, and functions of the state
+
+
+def height(x, u, t):
+    return x[..., 2:3]
+
+
+def scalar(x, u, t):
+    return x[..., 2]
+
+
+def for_one_run(x, u, t):
+    return np.stack([x[:, 0], x[:, 1]], axis=-1)
+
+
+def test_sensors_taken_together_are_one_channel_in_place_of_themselves():
+    R = np.diag([4.0, 9.0, 16.0, 1.0])
+    R[0, 3] = R[3, 0] = 1.5
+    channels, _ = build(imu={"of": ["gyro", "lift_encoder"], "cov": R.tolist(), "rate": 125})
+    assert [c.name for c in channels] == ["wrist_quat", "attitude", "imu"]
+    imu, model = channels[-1], zoo_model("joints")
+    assert imu.kind == "gyro + jointpos"
+    assert imu.sensors == ("gyro", "lift_encoder")
+    assert imu.space.names == ("gyro.x", "gyro.y", "gyro.z", "lift_encoder")
+    adr = [model.sensor(name).adr[0] for name in imu.sensors]
+    assert imu.columns.tolist() == [adr[0], adr[0] + 1, adr[0] + 2, adr[1]]
+    assert imu.period == 2
+    noise = imu.noise(1, range(40), 500).reshape(-1, 4)
+    sigma = np.sqrt((np.outer(np.diag(R), np.diag(R)) + R**2) / len(noise))
+    assert (np.abs(noise.T @ noise / len(noise) - R) < 6 * sigma).all()
+
+
+def test_a_member_is_a_channel_of_its_own_where_it_is_asked_for():
+    both, _ = build(["imu", "gyro"], imu={"of": ["gyro", "lift_encoder"]})
+    assert [c.name for c in both] == ["gyro", "imu"]
+    alone, _ = build(["gyro"], imu={"of": ["gyro", "lift_encoder"]})
+    assert [c.name for c in alone] == ["gyro"]
+    off, _ = build(imu={"of": ["gyro", "lift_encoder"], "enabled": False})
+    assert "gyro" in [c.name for c in off]
+
+
+def test_what_is_taken_together_has_the_noise_and_cutoff_of_each():
+    model = model_with(
+        '<jointpos name="a" joint="hinge" noise="0.25" cutoff="3"/>'
+        '<jointvel name="v" joint="slide"/>'
+    )
+    (both,), notices = build(model=model, both={"of": ["v", "a"]})
+    np.testing.assert_allclose(np.sqrt(np.diag(both.cov)), [0.02, 0.25])
+    assert notices == ["both: no noise given; assuming 0.02 m/s"]
+    assert both.part is not None
+    np.testing.assert_array_equal(both.part.cutoff, [np.inf, 3.0])
+
+
+def test_a_function_of_the_state_is_a_channel():
+    target = f"{__name__}:height"
+    channels, notices = build(baro={"function": target, "unit": "m", "rate": 25})
+    baro = channels[-1]
+    assert (baro.name, baro.kind, baro.sensors) == ("baro", "function", ())
+    assert (baro.space.names, baro.space.units) == (("baro",), ("m",))
+    assert baro.cov == 0.01**2
+    assert "baro: no noise given; assuming 0.01 m" in notices
+    assert baro.columns.size == 0
+    with pytest.raises(ScenarioError, match=r"channels\.baro is no single MuJoCo sensor"):
+        _ = baro.index
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"of": ["gyr", "attitude"]}, r"extra\.of: no sensor 'gyr' \(did you mean 'gyro'\?\)"),
+        ({"of": ["gyro", "gyro"]}, r"extra\.of is \['gyro', 'gyro'\]; name each .* once"),
+        ({"of": []}, r"extra\.of is \[\]; name each"),
+        ({"of": ["gyro"], "function": "a:b"}, "extra has of and function; give one of them"),
+        ({"of": ["gyro"], "unit": "m"}, r"extra\.unit is for a function"),
+        ({"function": "height"}, r"extra\.function is 'height'; use 'module:function'"),
+        ({"function": f"{__name__}:heigt"}, r"no function 'heigt' \(did you mean 'height'"),
+        ({"function": f"{__name__}:scalar"}, r"returned shape .*; expected .*keep the last axis"),
+        ({"function": f"{__name__}:for_one_run"}, r"extra\.function returned shape \(3, 2, \d+\)"),
+    ],
+)
+def test_bad_channels_that_are_not_one_sensor(section, message):
+    with pytest.raises(ScenarioError, match=message):
+        build(extra=section)
+
+
+def test_a_new_channel_needs_a_name_of_its_own():
+    with pytest.raises(ScenarioError, match=r"channels\.gyro: a sensor has this name"):
+        build(gyro={"of": ["lift_encoder"]})
+
+
+def test_sensors_of_different_rhythm_need_one():
+    native = {"gyro": Native(0.1, 0.0, 0.0, 1)}
+    section = {"imu": ChannelSection(of=["gyro", "lift_encoder"])}
+    with pytest.raises(ScenarioError, match=r"imu\.of: .*different interval, .*imu\.rate and"):
+        sensors.build(zoo_model("joints"), section, None, 1, native=native)
+    given = {"imu": ChannelSection(of=["gyro", "lift_encoder"], rate=50, latency=0)}
+    channels, _ = sensors.build(zoo_model("joints"), given, None, 1, native=native)
+    assert channels[-1].period == 5
+
+
+def test_a_sensor_free_of_noise_needs_an_r_that_is_believed():
+    belief = {"gyro": BelievedChannelSection(noise=0.1)}
+    section = {"gyro": ChannelSection(noise=[0.0, 0.1, 0.0])}
+    (gyro,), _ = sensors.build(zoo_model("joints"), section, ["gyro"], 1, believed=belief)
+    noise = gyro.noise(0, range(3), 4)
+    np.testing.assert_array_equal(noise[..., [0, 2]], 0.0)
+    assert (noise[..., 1] != 0).all()
+    np.testing.assert_allclose(sensors.believed_covariance(gyro, belief["gyro"]), 0.01 * np.eye(3))

@@ -10,7 +10,7 @@ from estbench.manifold import Manifold
 FREE, BALL, SLIDE, HINGE = range(4)
 _QUATERNION = int(mujoco.mjtDataType.mjDATATYPE_QUATERNION)
 
-# Unit by MuJoCo sensor type (mjtSensor, lower case); what is missing is dimensionless or the user's.
+# Unit by MuJoCo sensor type; what is missing is dimensionless or the user's own.
 SENSOR_UNITS = {
     "touch": "N", "accelerometer": "m/s²", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
     "torque": "N m", "magnetometer": "T", "rangefinder": "m", "camprojection": "pixel",

@@ -1,4 +1,4 @@
-"""Linear-Gaussian model with feedthrough: x⁺ = A x + B u + w, y = C x + D u + v (source 003, eq. 1)."""
+"""Linear-Gaussian model with feedthrough, x⁺ = A x + B u + w, y = C x + D u + v (source 003)."""
 
 from dataclasses import dataclass, field
 

@@ -31,8 +31,12 @@ SENSOR_TYPES = {
 }
 # Which kind of object a sensor of the type is attached to, where it is not a site.
 _OBJECTS = {
-    "joint": "joint", "ball": "joint", "tendon": "tendon", "actuator": "actuator", "subtree": "body",
-}  # fmt: skip
+    "joint": "joint",
+    "ball": "joint",
+    "tendon": "tendon",
+    "actuator": "actuator",
+    "subtree": "body",
+}
 
 
 def locate(path: str) -> Path:
@@ -81,7 +85,7 @@ def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:
         objtype = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
         if objtype is None:
             raise ScenarioError(
-                f"channels.{name}.add.object_type: no object type '{kind}'; use joint, site, body, ..."
+                f"channels.{name}.add.object_type: no object type '{kind}'; use joint, site, ..."
             )
         attached = {"objtype": objtype, "objname": sensor.object} if sensor.object else {}
         spec.add_sensor(name=name, type=SENSOR_TYPES[sensor.type], **attached)
