@@ -211,6 +211,9 @@ class ChannelSection(Section):
     enabled: bool = True
     add: AddSensor | None = None
     of: list[str] | None = Field(None, description="sensors that are read together, with one R")
+    axes: list[Annotated[int, Field(ge=0)]] | None = Field(
+        None, description="the numbers of the reading that are measured, 0 the first; default all"
+    )
     function: str | None = Field(
         None, description="module:function(x, u, t) -> y in place of a sensor"
     )

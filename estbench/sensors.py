@@ -15,7 +15,7 @@ from estbench.imperfections import Imperfections
 from estbench.manifold import Manifold
 from estbench.models import layout
 from estbench.models.mujoco import whole_steps
-from estbench.models.reading import Source, StateFunction, sensor_columns
+from estbench.models.reading import Source, StateFunction
 from estbench.scenario import BelievedChannelSection, ChannelSection
 from estbench.timing import Native, Timing
 
@@ -60,7 +60,7 @@ class Channel:
         Raises:
             ScenarioError: it is several together, or a function of the state.
         """
-        if len(self.source.sensors) != 1:
+        if len(self.source.sensors) != 1 or self.source.axes is not None:
             raise ScenarioError(
                 f"channels.{self.name} is no single MuJoCo sensor, which is all that this knows"
             )
@@ -152,8 +152,8 @@ def build(
         schedule = schedules.build(
             section.schedule, source.space.n, duration, f"{where}.schedule"
         )  # fmt: skip
-        columns = sensor_columns(model, source.sensors)
         read = tuple(names[i] for i in source.sensors)
+        columns = source.columns(model)
         channels.append(Channel(name, source, read, kind, cov, columns, timing, part, schedule))
     if not channels:
         raise ScenarioError(
@@ -195,19 +195,30 @@ def _source(
         raise ScenarioError(f"{where} has {' and '.join(given)}; give one of them")
     if section.unit is not None and section.function is None:
         raise ScenarioError(f"{where}.unit is for a function; a sensor has its own")
+    if section.axes is not None and section.function is not None:
+        raise ScenarioError(
+            f"{where}.axes is for sensors; let the function return what is measured"
+        )
     if section.function is not None:
         return _function(name, section.function, section.unit or "1", model), "function"
-    if section.of is None:
-        index = names.index(name)
-        return Source.of_sensors(model, index), layout.sensor_type(model, index)
-    for member in section.of:
+    members = [name] if section.of is None else section.of
+    for member in members:
         if member not in names:
             raise ScenarioError(f"{where}.of: no sensor '{member}'{did_you_mean(member, names)}")
-    if len(set(section.of)) < max(1, len(section.of)):
+    if len(set(members)) < max(1, len(members)):
         raise ScenarioError(f"{where}.of is {section.of}; name each of its sensors once")
-    indices = [names.index(member) for member in section.of]
+    indices = [names.index(member) for member in members]
+    if section.axes is not None:
+        space = layout.sensor_space(model, indices)
+        if not space.flat:
+            raise ScenarioError(f"{where}.axes: a quaternion has no single axes")
+        distinct = len(set(section.axes)) == len(section.axes) > 0
+        if not distinct or max(section.axes) >= space.n:
+            raise ScenarioError(
+                f"{where}.axes is {section.axes}; use some of 0 to {space.n - 1}, each once"
+            )
     kinds = " + ".join(layout.sensor_type(model, i) for i in indices)
-    return Source.of_sensors(model, *indices), kinds
+    return Source.of_sensors(model, *indices, axes=section.axes), kinds
 
 
 def _function(name: str, target: str, unit: str, model: mujoco.MjModel) -> Source:
@@ -236,7 +247,8 @@ def _per_axis(model: mujoco.MjModel, source: Source, values: Array, default: flo
     if not source.sensors:
         return np.full(source.space.n, default)
     widths = [layout.sensor_space(model, [i]).n for i in source.sensors]
-    return np.repeat(values[list(source.sensors)], widths)
+    out = np.repeat(values[list(source.sensors)], widths)
+    return out if source.axes is None else out[list(source.axes)]
 
 
 def _timing(

@@ -381,7 +381,8 @@ def _believed_channels(
                 raise ScenarioError(
                     f"filter.path: the filter's model has no sensor {', '.join(missing)}"
                 )
-            source = Source.of_sensors(model, *(names.index(name) for name in channel.sensors))
+            indices = [names.index(name) for name in channel.sensors]
+            source = Source.of_sensors(model, *indices, axes=source.axes)
         out.append(SensorChannel(channel.name, -1, R, scale, source))
     return tuple(out)
 

@@ -266,6 +266,21 @@ def test_what_is_taken_together_has_the_noise_and_cutoff_of_each():
     np.testing.assert_array_equal(both.part.cutoff, [np.inf, 3.0])
 
 
+def test_some_axes_of_a_sensor():
+    (rates,), _ = build(["gyro"], gyro={"axes": [2, 0], "noise": [0.1, 0.2]})
+    assert rates.space.names == ("gyro.z", "gyro.x")
+    start = zoo_model("joints").sensor("gyro").adr[0]
+    assert rates.columns.tolist() == [start + 2, start]
+    np.testing.assert_allclose(np.diag(rates.cov), [0.01, 0.04])
+    model = model_with('<jointpos name="a" joint="hinge" noise="0.25" cutoff="3"/>'
+                       '<jointvel name="v" joint="slide" noise="0.5"/>')  # fmt: skip
+    (one,), _ = build(model=model, one={"of": ["v", "a"], "axes": [1]})
+    assert one.space.names == ("a",)
+    assert one.cov == 0.25**2
+    assert one.part is not None
+    np.testing.assert_array_equal(one.part.cutoff, [3.0])
+
+
 def test_a_function_of_the_state_is_a_channel():
     target = f"{__name__}:height"
     channels, notices = build(baro={"function": target, "unit": "m", "rate": 25})
@@ -290,7 +305,13 @@ def test_a_function_of_the_state_is_a_channel():
         ({"function": "height"}, r"extra\.function is 'height'; use 'module:function'"),
         ({"function": f"{__name__}:heigt"}, r"no function 'heigt' \(did you mean 'height'"),
         ({"function": f"{__name__}:scalar"}, r"returned shape .*; expected .*keep the last axis"),
-        ({"function": f"{__name__}:for_one_run"}, r"extra\.function returned shape \(3, 2, \d+\)"),
+        ({"function": f"{__name__}:for_one_run"}, r"expected \(3, 2, 2\): index the state as x\["),
+        ({"axes": [0]}, r"extra: no sensor 'extra'"),
+        ({"of": ["gyro"], "axes": [3]}, r"extra\.axes is \[3\]; use some of 0 to 2, each once"),
+        ({"of": ["gyro"], "axes": [1, 1]}, r"extra\.axes is \[1, 1\]; use some"),
+        ({"of": ["gyro"], "axes": []}, r"extra\.axes is \[\]; use some"),
+        ({"of": ["attitude"], "axes": [0]}, r"extra\.axes: a quaternion has no single axes"),
+        ({"function": f"{__name__}:height", "axes": [0]}, r"extra\.axes is for sensors"),
     ],
 )
 def test_bad_channels_that_are_not_one_sensor(section, message):

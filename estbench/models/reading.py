@@ -24,19 +24,32 @@ class Source:
     Attributes:
         space: the manifold of the reading.
         sensors: MuJoCo sensors, read one after the other.
+        axes: which of the numbers that they read; None is all. No part of a quaternion.
         function: in their place, a function of the state.
         name: of the function, for messages.
     """
 
     space: Manifold
     sensors: tuple[int, ...] = ()
+    axes: tuple[int, ...] | None = None
     function: StateFunction | None = None
     name: str = ""
 
     @classmethod
-    def of_sensors(cls, model: mujoco.MjModel, *sensors: int) -> "Source":
-        """The readings of some sensors of a model."""
-        return cls(layout.sensor_space(model, sensors), sensors)
+    def of_sensors(
+        cls, model: mujoco.MjModel, *sensors: int, axes: Sequence[int] | None = None
+    ) -> "Source":
+        """The readings of some sensors of a model, or some axes of them."""
+        space = layout.sensor_space(model, sensors)
+        if axes is None:
+            return cls(space, sensors)
+        names, units = (tuple(values[i] for i in axes) for values in (space.names, space.units))
+        return cls(Manifold(names, units), sensors, tuple(axes))
+
+    def columns(self, model: mujoco.MjModel) -> NDArray[np.intp]:
+        """Where the reading stands in sensordata."""
+        columns = sensor_columns(model, self.sensors)
+        return columns if self.axes is None else columns[list(self.axes)]
 
     def call(self, x: Array, u: Array, t: float) -> Array:
         """The function at states `(..., nx)`, checked.
@@ -72,7 +85,9 @@ class Plan:
     def __init__(self, model: mujoco.MjModel, sources: Sequence[Source]):
         self.space = product([s.space for s in sources])
         sensors = [i for s in sources for i in s.sensors]
-        self._columns, self._stage = sensor_columns(model, sensors), needed_stage(model, sensors)
+        parts = [s.columns(model) for s in sources]
+        self._columns = np.concatenate(parts) if parts else np.zeros(0, np.intp)
+        self._stage = needed_stage(model, sensors)
         self._sources = tuple(sources) if any(s.function for s in sources) else ()
 
     def read(self, rows: Rows, x: Array, u: Array, t: float) -> Array:
