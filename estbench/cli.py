@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from estbench import experiment, inspection, store
+from estbench import experiment, inspection, setup, store
 from estbench.analysis import commands as analysis_commands
 from estbench.errors import EstbenchError, ExecutorError, Interrupted
 from estbench.report import commands
@@ -106,6 +106,27 @@ def check(scenario: Scenario, overrides: Overrides = None) -> None:
     _console().print(
         inspection.render_check(experiment.resolve(scenario, overrides=overrides or ()))
     )
+
+
+@app.command(epilog="Example: estbench sensors quadrotor --out sensors.png")
+def sensors(
+    scenario: Scenario,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="picture to write: .png, .pdf or .svg")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.0, help="how much of the run to draw")] = 3.0,
+    run: Annotated[int, typer.Option(min=0, help="which run to draw")] = 0,
+    overrides: Overrides = None,
+) -> None:
+    """Show what each channel does to the true reading, and draw it."""
+    from estbench import sensor_picture, sensor_table
+
+    prepared = setup.build(experiment.resolve(scenario, overrides=overrides or ()))
+    if out is not None:
+        sensor_picture.write(prepared, out, seconds, run)
+    _console().print(sensor_table.render(prepared))
+    if out is not None:
+        print(f"written to {out}")
 
 
 @app.command(epilog="Example: estbench control cartpole --controller lqr --runs 100")

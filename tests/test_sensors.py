@@ -19,7 +19,7 @@ def build(use=None, frame_skip=1, model=None, **sections):
 
 
 def channel(name, **section):
-    channels, _ = build([name], **({name: section} if section else {}))
+    channels, _ = build([name], 1, None, **({name: section} if section else {}))
     assert [c.name for c in channels] == [name]
     return channels[0]
 
@@ -306,7 +306,6 @@ def test_a_function_of_the_state_is_a_channel():
         ({"function": f"{__name__}:heigt"}, r"no function 'heigt' \(did you mean 'height'"),
         ({"function": f"{__name__}:scalar"}, r"returned shape .*; expected .*keep the last axis"),
         ({"function": f"{__name__}:for_one_run"}, r"expected \(3, 2, 2\): index the state as x\["),
-        ({"axes": [0]}, r"extra: no sensor 'extra'"),
         ({"of": ["gyro"], "axes": [3]}, r"extra\.axes is \[3\]; use some of 0 to 2, each once"),
         ({"of": ["gyro"], "axes": [1, 1]}, r"extra\.axes is \[1, 1\]; use some"),
         ({"of": ["gyro"], "axes": []}, r"extra\.axes is \[\]; use some"),

@@ -14,6 +14,7 @@ from scipy.linalg import expm
 
 from estbench.analysis.intervals import wilson
 from estbench.consistency import Interval, Verdict, judge, positive_mean_interval
+from estbench.estimators.base import Estimator
 from estbench.estimators.kf import KF
 from estbench.linalg import psd_factor, quadratic_form
 from estbench.models.linear import LinearModel
@@ -50,7 +51,7 @@ def averages(
     seed: int,
     *,
     process_noise_scale: float = 1.0,
-    estimator: Callable[[LinearModel], KF] = KF,
+    estimator: Callable[[LinearModel], Estimator] = KF,
     spread: float = 1.0,
 ) -> Array:
     """NEES/n of each run, averaged over its steps `(run,)`: what the verdict is made from.

@@ -1,6 +1,6 @@
 """Results folders compared: what each estimator did, who is better, and what is only a tie."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
 from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load
+from estbench.consistency import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
 from estbench.scenario import Scenario
 
+Array = NDArray[np.float64]
 OWN = {"name", "description", "estimators", "filter", "consistency", "task"}
 """Parts of a scenario that change neither the truth nor what is measured of it."""
 
@@ -28,7 +30,7 @@ class Contest:
         runs: numbers of the runs that all stores have finished; pairs and ranks are over these.
         pairs: of the scores, all there are.
         ranks: in order.
-        details: for each pair the differences of RMSE, one a coordinate, and that of NEES/n.
+        nees: difference of NEES/n of each pair, over the runs that neither lost.
     """
 
     title: str
@@ -37,7 +39,25 @@ class Contest:
     runs: NDArray[np.int64]
     pairs: tuple[Pair, ...]
     ranks: tuple[Rank, ...]
-    details: tuple[tuple[tuple[Paired, ...], Paired], ...]
+    nees: tuple[Interval, ...]
+    _rows: tuple[NDArray[np.intp], ...]
+
+    def details(self) -> Iterator[tuple[tuple[Paired, ...], Paired]]:
+        """For each pair the comparisons of RMSE, one a coordinate, and that of NEES/n."""
+        level = self.stores[0].scenario.consistency.level
+        place = {f.key: i for i, f in enumerate(self.findings)}
+        values = [self._values(i) for i in range(len(self.findings))]
+        for pair in self.pairs:
+            (x, a), (y, b) = (values[place[key]] for key in (pair.a, pair.b))
+            rmse = tuple(paired(p, q, level) for p, q in zip(x.T, y.T))
+            yield rmse, paired(a, b, level)
+
+    def _values(self, i: int) -> tuple[Array, Array]:
+        """RMSE `(run, n)` and NEES/n `(run,)` of an estimator, infinite where a run was lost."""
+        record, rows = self.findings[i].record, self._rows[i]
+        lost = record["diverged"][rows].astype(bool)
+        rmse = np.sqrt(np.where(lost[:, None], np.inf, record["mse"][rows]))
+        return rmse, np.where(lost, np.inf, record["anees"][rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,20 +132,13 @@ def _contest(
             f"{', '.join(str(s.folder) for s in stores)} have no finished run in common; "
             "compare them one by one"
         )
-    rows = {id(s): np.flatnonzero(np.isin(s.runs, runs)) for s in stores}
-    mse, lost, anees = ([f.record[name][rows[id(f.stored)]] for f in findings]
-                        for name in ("mse", "diverged", "anees"))  # fmt: skip
-    lost = [x.astype(bool) for x in lost]
-    scores = {f.key: score(m, gone) for f, m, gone in zip(findings, mse, lost)}
+    rows = tuple(np.flatnonzero(np.isin(f.stored.runs, runs)) for f in findings)
+    scores, anees = {}, {}
+    for f, where in zip(findings, rows):
+        lost = f.record["diverged"][where].astype(bool)
+        scores[f.key] = score(f.record["mse"][where], lost)
+        anees[f.key] = np.where(lost, np.nan, f.record["anees"][where])
     pairs, ranks = compare(scores, level, margin)
-    place = {f.key: i for i, f in enumerate(findings)}
-
-    def detail(a: int, b: int) -> tuple[tuple[Paired, ...], Paired]:
-        rmse = [np.sqrt(np.where(lost[i][:, None], np.inf, mse[i])) for i in (a, b)]
-        nees = [np.where(lost[i], np.inf, anees[i]) for i in (a, b)]
-        columns = zip(rmse[0].T, rmse[1].T)
-        return tuple(paired(x, y, level) for x, y in columns), paired(*nees, level)
-
     simulation = stores[0].scenario.simulation
     return Contest(
         title=f"{stores[0].scenario.name}: {len(runs)} runs x {stores[0].times[-1]:g} s "
@@ -135,7 +148,8 @@ def _contest(
         runs=runs,
         pairs=tuple(pairs),
         ranks=tuple(ranks),
-        details=tuple(detail(place[p.a], place[p.b]) for p in pairs),
+        nees=tuple(mean_interval(anees[p.a] - anees[p.b], level) for p in pairs),
+        _rows=rows,
     )
 
 

@@ -200,12 +200,18 @@ def compare(
             place=1 + better[key],
             last=len(keys) - worse[key],
             tied=places.count(better[key]) > 1,
-            ratio=exponential(paired(scores[key], scores[order[0]], level, 1.0).difference),
+            ratio=exponential(_difference(scores[key], scores[order[0]], level)),
             lost=lost[key],
         )
         for key in order
     ]
     return pairs, ranks
+
+
+def _difference(a: Array, b: Array, level: float) -> Interval:
+    """Mean of a - b over the runs that neither lost, with Student's t interval."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return mean_interval(a[both] - b[both], level)
 
 
 def fewest_runs(estimators: int, level: float = 0.95) -> int:

@@ -58,20 +58,22 @@ def credibility(batches: Callable[[], Iterable[tuple[Array, Array]]]) -> Credibi
 
     Args:
         batches: gives, each time it is called, x ⊖ x̂ `(run, step, n)` and NEES `(run, step)` of the
-            runs that were not lost, batch by batch. It is called twice: Σ takes all runs.
+            runs that were not lost, batch by batch. It is called twice: Σ takes all runs. No more
+            runs than coordinates give NaN.
     """
     runs, square, n = 0, np.zeros(()), 0
     for error, _ in batches():
         square = square + len(error) * mean_square(error) if len(error) else square
         runs, n = runs + len(error), error.shape[-1]
-    square = square / max(runs, 1)
+    if runs <= n:  # Σ has no inverse
+        nothing = np.full(square.shape[:1] or 1, np.nan)
+        return Credibility(nothing, nothing, np.nan)
+    square = square / runs
     size = total = np.zeros(square.shape[:1])
     for error, nees in batches():
         if len(error):
             ratios = log_ratios(error, nees, square)
             size, total = size + np.abs(ratios).sum(axis=0), total + ratios.sum(axis=0)
-    if not runs:
-        return Credibility(np.full(1, np.nan), np.full(1, np.nan), np.nan)
     return Credibility(size / runs, total / runs, expected(n, runs))
 
 

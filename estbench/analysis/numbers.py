@@ -52,7 +52,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
                         },
                         "nees_over_n_difference": {**_plain(nees.difference), **_tests(nees)},
                     }
-                    for p, (rmse, nees) in zip(c.pairs, c.details)
+                    for p, (rmse, nees) in zip(c.pairs, c.details())
                 ],
             }
             for c in comparison.contests
@@ -187,7 +187,7 @@ def _row(
 
 def _pair_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     names, units = contest.stores[0].names, contest.stores[0].units
-    for p, (rmse, nees) in zip(contest.pairs, contest.details):
+    for p, (rmse, nees) in zip(contest.pairs, contest.details()):
         pair = {"estimator": p.a, "against": p.b}
         tests = {"p_sign": p.sign, "p_wilcoxon": p.wilcoxon}
         yield {**pair, "quantity": "rmse_ratio", **_plain(p.ratio), **tests}

@@ -87,12 +87,12 @@ def _ranking(contest: Contest, comparison: Comparison) -> Table:
 
 def _pairs(contest: Contest, comparison: Comparison) -> Table:
     rows = []
-    for pair, (_, nees) in zip(contest.pairs, contest.details):
+    for pair, nees in zip(contest.pairs, contest.nees):
         p = pair.paired
         rows.append(
             (
                 pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
-                probability(pair.sign), probability(pair.wilcoxon), plus_minus(nees.difference),
+                probability(pair.sign), probability(pair.wilcoxon), plus_minus(nees),
             )
         )  # fmt: skip
     return Table(

@@ -81,14 +81,14 @@ def test_nothing_to_compare():
 
 
 def test_p_values_are_uniform_when_the_two_are_exchangeable():
-    # False alarms at 5% in 1500 experiments: 75 expected, sigma 8.4; 6 sigma, 2e-9.
+    # False alarms at 5% in 800 experiments: 40 expected, sigma 6.2; 6 sigma, 2e-9.
     rng = np.random.default_rng(1)
-    common = rng.normal(size=(1500, 1, 20))
-    values = common + rng.gamma(1.0, size=(1500, 2, 20))
+    common = rng.normal(size=(800, 1, 20))
+    values = common + rng.gamma(1.0, size=(800, 2, 20))
     found = [paired(a, b) for a, b in values]
-    assert abs(sum(p.wilcoxon < 0.05 for p in found) - 75) < 51
-    assert sum(p.sign < 0.05 for p in found) < 75 + 51  # discrete: 4.1% at 20 runs
-    assert abs(sum(0.0 not in p.difference for p in found) - 75) < 51
+    assert abs(sum(p.wilcoxon < 0.05 for p in found) - 40) < 37
+    assert sum(p.sign < 0.05 for p in found) < 40 + 37  # discrete: 4.1% at 20 runs
+    assert abs(sum(0.0 not in p.difference for p in found) - 40) < 37
 
 
 # Many pairs
@@ -115,14 +115,14 @@ def test_holm_of_none_and_one():
 
 
 def test_false_differences_among_equals_are_as_rare_as_the_level_says():
-    # Any of ten pairs in 300 experiments, level 90%: at most 30 expected, sigma 5.2; 5 sigma.
+    # Any of six pairs in 100 experiments, level 90%: at most 10 expected, sigma 3; 5 sigma.
     rng, alarms = np.random.default_rng(2), 0
-    for _ in range(300):
+    for _ in range(100):
         luck = rng.normal(size=25)
-        scores = {k: luck + 0.3 * rng.normal(size=25) for k in "abcde"}
+        scores = {k: luck + 0.3 * rng.normal(size=25) for k in "abcd"}
         pairs, _ = compare(scores, 0.9, margin=1e-9)
         alarms += any(p.differ for p in pairs)
-    assert alarms < 30 + 26
+    assert alarms < 10 + 15
 
 
 # Scores and ranks
@@ -158,26 +158,19 @@ def made(ratio, spread=0.02, lost=0, runs=60, seed=0):
 def test_ranking_shows_ties_as_ties():
     scores = {
         "far": made(2.0, seed=1), "good": made(1.0, seed=2), "same": made(1.0, seed=3),
-        "near": made(1.004, 1e-4, seed=4), "lossy": made(1.0, lost=9, seed=5),
+        "near": made(1.004, 1e-4, seed=4), "lossy": made(1.0, lost=24, seed=5),
     }  # fmt: skip
     pairs, ranks = compare(scores)
     assert len(pairs) == 10
     by = {r.key: r for r in ranks}
-    assert [by[k].place for k in ("good", "same", "near", "lossy", "far")] == [1, 1, 1, 4, 5]
-    assert [by[k].last for k in ("good", "same", "near", "lossy", "far")] == [3, 3, 3, 4, 5]
-    assert [by[k].tied for k in ("good", "same", "near", "lossy", "far")] == [True] * 3 + [
-        False
-    ] * 2
-    assert by["lossy"].lost == 9 / 60
+    places = {k: (r.place, r.last, r.tied) for k, r in by.items()}
+    assert places == {
+        "good": (1, 3, True), "same": (1, 3, True), "near": (1, 3, True),
+        "lossy": (4, 5, True), "far": (4, 5, True),
+    }  # fmt: skip
+    assert by["lossy"].lost == 24 / 60
     assert by["far"].ratio.value == pytest.approx(2.0, rel=0.01)
     assert 2.0 in by["far"].ratio
-    # 0.4% is significant and still too small to matter, unless one says so.
-    ordered = {(p.a, p.b): p for p in pairs}
-    assert ordered["good", "near"].wilcoxon < 1
-    tight = {
-        (p.a, p.b): p for p in compare({k: scores[k] for k in ("good", "near")}, margin=1e-4)[0]
-    }
-    assert tight["good", "near"].paired.difference.value < 0
 
 
 def test_a_small_significant_difference_needs_a_small_margin():

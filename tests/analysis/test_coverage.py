@@ -32,8 +32,8 @@ def test_a_group_is_the_mean_of_its_coordinates():
 
 
 def test_normal_errors_are_inside_as_often_as_expected():
-    # 400 experiments of 20 runs x 100 steps x 2 coordinates, intervals at 95% for 1σ and 2σ: 20
-    # misses expected of each, sigma 4.4; 6 sigma, 2e-9. 3σ: few, skewed, 1 more in 20.
+    # 400 experiments of 20 runs x 100 steps x 2 coordinates at 95%: of 1σ and 2σ 20 misses are
+    # expected, sigma 4.4; 6 sigma, 2e-9. Of 3σ, skewed, twice that.
     rng = np.random.default_rng(1)
     missed = np.zeros(3)
     for _ in range(400):

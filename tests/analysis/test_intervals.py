@@ -192,6 +192,7 @@ def test_median_of_few_and_lost():
 def test_runs_needed_is_the_least_that_will_do(half):
     x = np.random.default_rng(7).normal(3.0, 1.3, 25)
     n = intervals.runs_needed(x, half)
+    assert n is not None
     width = {k: stats.t.ppf(0.975, k - 1) * x.std(ddof=1) / np.sqrt(k) for k in (n, n - 1) if k > 1}
     assert width[n] <= half
     assert n == 2 or width[n - 1] > half
@@ -200,6 +201,7 @@ def test_runs_needed_is_the_least_that_will_do(half):
 def test_runs_needed_gives_the_half_width():
     rng = np.random.default_rng(8)
     n = intervals.runs_needed(rng.normal(0, 2.0, 5000), 0.2)
+    assert n is not None
     halves = stats.t.ppf(0.975, n - 1) * rng.normal(0, 2.0, (400, n)).std(axis=1, ddof=1) / n**0.5
     assert halves.mean() == pytest.approx(0.2, rel=0.03)
 

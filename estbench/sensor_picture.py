@@ -1,0 +1,173 @@
+"""`estbench sensors --out`: a few seconds of true against measured, a panel a channel."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstbenchError, MissingExtraError, StoreError
+from estbench.models.rows import engine
+from estbench.sensor_table import latency
+from estbench.sensors import Channel
+from estbench.setup import Setup
+from estbench.truth import simulate
+
+Array = NDArray[np.float64]
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe & Ito's, one an axis."""
+COLUMNS = 3
+FORMATS = ("png", "pdf", "svg")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One channel of one run; attitudes as rotation vectors from the first true one.
+
+    Attributes:
+        channel: the sensor.
+        times: s, of `true`.
+        true: noise-free readings `(time, m)`.
+        taken: s, when each reading was taken.
+        arrived: s, when it arrived.
+        measured: the readings `(reading, m)`.
+        lost: s, when a reading was due that never came.
+    """
+
+    channel: Channel
+    times: Array
+    true: Array
+    taken: Array
+    arrived: Array
+    measured: Array
+    lost: Array
+
+
+def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
+    """What the channels of one run say in its first seconds, the controller seeing the truth.
+
+    Args:
+        setup: of the scenario.
+        seconds: how long; the run may be shorter.
+        run: its number.
+    """
+    simulator, controller = setup.simulator([run]), setup.controller([run])
+    with engine():
+        trajectory = simulate(simulator, controller, setup.plant.period)
+        ends = np.array([i.end for i in setup.instants])
+        shown = int(np.searchsorted(ends, seconds + 1e-9))
+        records = []
+        for channel in setup.channels:
+            clean = np.concatenate([
+                simulator.clean([channel], ends[k], trajectory.x[k + 1], trajectory.u[k])
+                for k in range(shown)
+            ])  # fmt: skip
+            came = [
+                (d.due, d.taken, k, d.y[0])
+                for k, arrived in enumerate(trajectory.deliveries)
+                for d in arrived
+                if d.channel == channel.name and d.taken < shown and (d.mask is None or d.mask[0])
+            ]
+            due = {k for k in range(shown) if channel.name in setup.instants[k].channels}
+            # What is still under way when the run ends is not lost.
+            late = channel.timing.longest * channel.timing.timestep
+            lost = [k for k in due - {c[0] for c in came} if ends[k] + late <= ends[-1]]
+            space, start = channel.space, clean[:1]
+            y = np.array([c[3] for c in came]).reshape(len(came), space.nx)
+            flat = space.flat
+            records.append(
+                Record(
+                    channel,
+                    ends[:shown],
+                    clean if flat else space.minus(clean, start),
+                    ends[[c[1] for c in came]],
+                    ends[[c[2] for c in came]],
+                    y if flat else space.minus(y, start),
+                    ends[sorted(lost)],
+                )
+            )
+    return records
+
+
+def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
+    """Draw the channels into a file, whose suffix says the format.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        EstbenchError: another suffix than png, pdf or svg.
+        StoreError: the file cannot be written.
+    """
+    if path.suffix.lstrip(".").lower() not in FORMATS:
+        raise EstbenchError(f"--out '{path}' is no picture; end it in .{', .'.join(FORMATS)}")
+    figure = draw(record(setup, seconds, run), f"{setup.scenario.name}, run {run}")
+    try:
+        figure.savefig(path, dpi=130)
+    except OSError as error:
+        raise StoreError(f"{path} cannot be written: {error.strerror}; choose --out") from None
+
+
+def draw(records: Sequence[Record], title: str) -> Any:
+    """A matplotlib figure: the true reading as a line, what was measured as points.
+
+    A point stands when its reading was taken; with latency a thin line leads to when it arrived.
+    Readings that never came are ticks at the foot. Each axis has a panel and a scale of its own.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "plot") from None
+    rows = [
+        (one, range(first, min(first + COLUMNS, one.channel.space.n)))
+        for one in records
+        for first in range(0, one.channel.space.n, COLUMNS)
+    ]
+    wide = max(len(axes) for _, axes in rows)
+    cells = 6  # one, two or three panels fit into a row
+    figure = Figure(figsize=(3.2 + 2.9 * wide, 0.7 + 1.7 * len(rows)), layout="constrained")
+    grid = figure.add_gridspec(len(rows), cells)
+    shared = None
+    for row, (one, axes) in enumerate(rows):
+        width = cells // len(axes)
+        for column, axis in enumerate(axes):
+            place = grid[row, column * width : (column + 1) * width]
+            shared = ax = figure.add_subplot(place, sharex=shared)
+            _panel(ax, one, axis, first=column == 0)
+            ax.tick_params(labelsize="small", labelbottom=row == len(rows) - 1)
+            if row == len(rows) - 1:
+                ax.set_xlabel("time (s)", fontsize="small")
+    figure.axes[0].set_xlim(0.0, records[0].times[-1])
+    figure.suptitle(f"{title}: true (lines) and measured (points)", fontsize="medium")
+    return figure
+
+
+def _panel(ax: Any, one: Record, axis: int, first: bool) -> None:
+    """One axis of one channel; the first says what the channel is."""
+    space, y = one.channel.space, one.measured[:, axis]
+    colour = COLOURS[axis % len(COLOURS)]
+    size = float(np.clip(90 / np.sqrt(len(one.taken) + 1), 3.0, 16.0))
+    late = one.arrived - one.taken > 1e-9
+    if late.any():
+        ax.hlines(y[late], one.taken[late], one.arrived[late], colour, lw=0.7, alpha=0.5)
+    ax.plot(one.times, one.true[:, axis], color="#333333", linewidth=1.1, zorder=2)
+    ax.scatter(one.taken, y, s=size, color=colour, alpha=0.7, linewidths=0, zorder=3)
+    if len(one.lost):
+        foot = ax.get_xaxis_transform()
+        ax.vlines(one.lost, 0.0, 0.08, "#000000", lw=0.8, transform=foot)
+    title = space.names[axis]
+    if first:
+        rate = 1 / (one.channel.timing.period * one.channel.timing.timestep)
+        said = [one.channel.kind, f"{rate:.4g} Hz"]
+        said += [f"{latency(one.channel)} late"] if latency(one.channel) else []
+        said += [f"{len(one.lost)} lost (ticks)"] if len(one.lost) else []
+        title += f"  ({', '.join(said)})"
+        ax.set_ylabel(space.units[axis] + ("" if space.flat else " (rotation)"), fontsize="small")
+    ax.set_title(title, loc="left", fontsize="small")
+    ax.grid(color="#dddddd", linewidth=0.4)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
