@@ -166,8 +166,8 @@ def markdown(boards: Sequence[Board]) -> str:
         "runs. Rank: by the geometric mean over the coordinates of RMSE, which `/ first` compares; "
         f"= is a tie (Wilcoxon's test, Holm over all pairs, or a difference below {MARGIN:.0%}); "
         "the ranks of all estimators are at once in the ranges named. "
-        "NEES/n is 1 for a consistent filter. Cost is of one core, in µs per run and step, on a "
-        "machine that does nothing else only by chance. What the words mean: "
+        "NEES/n is 1 for a consistent filter. Cost is of one core, in µs per run and step; it "
+        "depends on the machine and on what else it does. What the words mean: "
         "[docs/statistics.md](../docs/statistics.md).",
     ]
     parts = ["\n\n".join(head)]

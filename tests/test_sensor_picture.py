@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+
+from estbench import experiment, sensor_picture, setup
+from estbench.errors import EstbenchError, StoreError
+from estbench.models.rows import engine
+from estbench.truth import simulate
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.fixture(scope="module")
+def delayed():
+    return setup.build(experiment.resolve("quadrotor_delayed", duration=1.0))
+
+
+def test_a_record_is_what_the_run_saw(delayed):
+    records = {r.channel.name: r for r in sensor_picture.record(delayed, 0.5, 3)}
+    assert list(records) == ["accel", "gyro", "position", "height", "compass"]
+    simulator = delayed.simulator([3])
+    with engine():
+        trajectory = simulate(simulator, delayed.controller([3]), delayed.plant.period)
+    position = records["position"]
+    np.testing.assert_allclose(position.taken, [0.1, 0.2, 0.3, 0.4, 0.5])
+    np.testing.assert_allclose(position.arrived, position.taken + 0.08)
+    came = [d.y[0] for a in trajectory.deliveries for d in a if d.channel == "position"]
+    np.testing.assert_array_equal(position.measured, came[:5])
+    np.testing.assert_allclose(position.times, 0.005 * np.arange(1, 101))
+    np.testing.assert_array_equal(position.true, trajectory.x[1:101, 0, :3])
+    assert len(position.lost) == 0
+    height = records["height"]
+    due = np.round(np.concatenate([height.taken, height.lost]) / 0.04).astype(int)
+    assert sorted(due) == list(range(1, 13))
+
+
+def test_an_attitude_is_drawn_as_a_rotation():
+    prepared = setup.build(experiment.resolve("quadrotor", duration=0.4))
+    attitude = sensor_picture.record(prepared, 3.0)[-1]
+    assert attitude.channel.name == "attitude"
+    assert attitude.true.shape == (80, 3)
+    np.testing.assert_allclose(attitude.true[0], 0.0, atol=1e-15)
+    assert np.abs(attitude.measured).max() < 0.3
+
+
+def test_the_picture_has_a_panel_an_axis(delayed):
+    figure = sensor_picture.draw(sensor_picture.record(delayed, 0.5), "title")
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert titles[0] == "accel.x  (accelerometer, 200 Hz)"
+    assert titles[1:3] == ["accel.y", "accel.z"]
+    assert titles[6] == "position.x  (framepos, 10 Hz, 80 ms late)"
+    assert titles[9].startswith("height.z  (framepos, 25 Hz")
+    assert len(titles) == 3 + 3 + 3 + 1 + 3
+    assert figure.axes[0].get_ylabel() == "m/s²"
+    assert all(ax.get_xlim() == (0.0, pytest.approx(0.5)) for ax in figure.axes)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.svg"])
+def test_the_file(delayed, tmp_path, name):
+    sensor_picture.write(delayed, tmp_path / name, 0.2)
+    assert (tmp_path / name).stat().st_size > 5000
+
+
+def test_what_cannot_be_written(delayed, tmp_path):
+    with pytest.raises(EstbenchError, match=r"'.*a\.gif' is no picture; end it in \.png"):
+        sensor_picture.write(delayed, tmp_path / "a.gif")
+    with pytest.raises(StoreError, match=r"a\.png cannot be written: No such file.*choose --out"):
+        sensor_picture.write(delayed, tmp_path / "nowhere" / "a.png", 0.1)
