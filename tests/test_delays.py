@@ -387,3 +387,34 @@ def test_a_reading_that_is_d_steps_late_costs_d_predicts(steps):
     assert counts[0][0] == len(prepared.instants)
     assert counts[1][0] - counts[0][0] == arrivals * (steps - 1)
     assert counts[1][1] - counts[0][1] <= arrivals * steps
+
+
+# What is said of it
+
+
+def test_late_readings_are_counted_in_the_results():
+    late = ["channels.pole_encoder.latency=0.02", "channels.pole_encoder.latency_std=0.03",
+            "filter.window=0.03"]  # fmt: skip
+    results = experiment.run("cartpole", ["ekf"], runs=4, duration=0.5, overrides=late)
+    count = int(results.records["ekf"]["late"].sum())
+    assert count > 0
+    assert results["ekf"].late == count
+    assert results.to_dict()["estimators"]["ekf"]["late_readings"] == count
+    note = f"note: ekf: {count} readings came later than filter.window and were not fused"
+    assert note in str(results)
+    punctual = experiment.run("cartpole", ["ekf"], runs=4, duration=0.5)
+    assert punctual["ekf"].late == 0
+    assert "were not fused" not in str(punctual)
+
+
+def test_the_naive_filter_of_the_bundled_scenario_errs_more():
+    results = experiment.run("quadrotor_delayed", runs=10, duration=1.0)
+    exact, naive = (results.records[label]["anees"].mean() for label in ("ekf", "naive"))
+    assert exact < 1.2  # the standard error is 0.08
+    assert naive > exact + 0.05
+
+
+def test_the_filter_that_knows_no_bias_is_overconfident():
+    results = experiment.run("cartpole_bias", runs=40, duration=3.0)
+    assert 0.85 < results["bias_ekf"].anees.value < 1.15
+    assert str(results["ekf"].verdict) == "overconfident"

@@ -146,9 +146,10 @@ def _innovations(contest: Contest) -> Table:
         white = ("–", "–") if f.whiteness is None else (
             percent(f.whiteness.rejected), probability(f.whiteness.p),
         )  # fmt: skip
-        nci = ("–", "–") if f.nci is None or f.inclination is None else (
-            f"{f.nci:.3f} ({number(f.nci_expected or np.nan, 3)})", f"{f.inclination:+.3f}",
-        )  # fmt: skip
+        nci = ("–", "–")
+        if f.nci is not None and f.inclination is not None and np.isfinite(f.nci):
+            best = number(f.nci_expected or np.nan, 3)
+            nci = (f"{f.nci:.3f} ({best})", f"{f.inclination:+.3f}")
         rows.append((f.key, plus_minus(f.summary.lag_one), *white, *nci))
     level = contest.stores[0].scenario.consistency.level
     return Table(

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+import estbench
 from estbench import cli
 from estbench.analysis import findings, formats, intervals, load
 from estbench.analysis.compare import compare_stores
@@ -258,3 +259,25 @@ def test_a_mistake_is_one_line_and_code_2(call, stores, tmp_path):
         assert (code, out) == (2, "")
         assert says in err
         assert err.count("\n") == 1
+
+
+# Little to go by
+
+
+@pytest.mark.parametrize("format_", formats.FORMATS)
+def test_one_run_and_an_estimator_that_lost_every_run(tmp_path, format_):
+    folder = tmp_path / "one"
+    estbench.run(
+        "cartpole", ["ekf", "lkf"], runs=1, duration=5.0, out=folder, batch_size=1,
+        keep="diagonal" if format_ == "text" else "summary",
+    )  # fmt: skip
+    comparison = compare_stores([folder])
+    assert [r.lost for r in comparison.contests[0].ranks] == [0.0, 1.0]
+    out = formats.render(comparison, format_)
+    assert "nan" not in out.lower()
+    assert "Infinity" not in out
+
+
+def test_the_share_of_diverged_runs_has_its_interval_in_the_json_of_a_run(stores):
+    found = stores["a"].to_dict()["estimators"]["ekf"]["diverged_interval"]
+    assert found == {"value": 0.0, "low": 0.0, "high": pytest.approx(0.138, abs=1e-3)}
