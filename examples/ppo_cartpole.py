@@ -10,9 +10,9 @@ import time
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
+from stable_baselines3.common.callbacks import BaseCallback  # pyright: ignore[reportMissingImports]
+from stable_baselines3.common.vec_env import VecNormalize  # pyright: ignore[reportMissingImports]
 
 from estbench.consistency import mean_interval
 from estbench.envs.sb3 import BatchVecEnv

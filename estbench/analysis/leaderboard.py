@@ -134,7 +134,7 @@ def reproduce(
     Args:
         out: folder.
         runs: of each robot.
-        scenarios: bundled names; default all.
+        scenarios: bundled names; default the robots, without their variants.
         estimators: names.
         workers: default the CPUs there are.
         say: told what is being done.
@@ -146,10 +146,15 @@ def reproduce(
     if runs < 2:
         raise AnalysisError(f"runs is {runs}; a comparison needs at least 2")
     boards = []
-    for name in scenarios or sorted(bundled()):
+    for name in scenarios or robots():
         say(f"{name}: {runs} runs of {len(estimators)} estimators")
         boards.append(play(name, runs, estimators, workers))
     return write(boards, out)
+
+
+def robots() -> list[str]:
+    """The bundled scenarios that are a robot's own; the others are variants of one."""
+    return sorted(name for name, path in bundled().items() if path.stem == "scenario")
 
 
 def markdown(boards: Sequence[Board]) -> str:

@@ -113,4 +113,5 @@ def test_an_interruption_writes_nothing(tmp_path, monkeypatch):
 def test_the_main_estimators_exist_and_so_do_their_robots():
     assert set(leaderboard.MAIN) <= set(registry.known())
     assert {"ekf", "ukf"} <= set(leaderboard.MAIN)
-    assert len(bundled()) >= 5
+    assert {"acrobot", "cartpole", "pendulum", "quadrotor"} <= set(leaderboard.robots())
+    assert "cartpole_imu" in set(bundled()) - set(leaderboard.robots())
