@@ -66,7 +66,7 @@ def scalar() -> None:
     bank, readings = observer.bank, observer.readings
     assert bank is not None
     model, belief = bank.estimator.model, bank.belief
-    batch = model._rows.batch(5)
+    batch = model._rows.batch(5, sensed=False)
     x, u, dt = env._state(), np.zeros((1, 1)), 2 * model.mjmodel.opt.timestep
     print("  of which")
     for name, call in {

@@ -1,7 +1,7 @@
-"""The floor of a batch: the time of the bare `mujoco.batch` calls it cannot avoid.
+"""The floor of a batch: the time inside the `mujoco.batch` calls that it makes.
 
-`recorded` notes every Batch call that estbench makes; `replay` makes the same calls, on the same
-batches with the states they last had, and nothing else.
+Measured in the very run whose wall time is compared with it, so that both see the same states (a
+step with contacts costs several times one without) and the same disturbances by other programs.
 """
 
 import time
@@ -11,37 +11,36 @@ from unittest import mock
 
 from mujoco.batch import Batch
 
-from estbench.models import rows
 
-Call = tuple[Batch, int, int]
+class Floor:
+    """Seconds spent in Batch calls, and rows that went through them by (kind, argument)."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.rows: dict[tuple[object, ...], int] = {}
+
+    def timed(self, kind: str):
+        """Batch's own method with a clock around it."""
+        original = getattr(Batch, kind)
+
+        def call(batch: Batch, **arguments: int) -> None:
+            key = (kind, *arguments.values())
+            self.rows[key] = self.rows.get(key, 0) + batch.nsim
+            began = time.perf_counter()
+            try:
+                original(batch, **arguments)
+            finally:
+                self.seconds += time.perf_counter() - began
+
+        return call
 
 
 @contextmanager
-def recorded() -> Iterator[list[Call]]:
-    """The list of (batch, steps, stage) that fills while the block runs."""
-    calls: list[Call] = []
-    original = rows.Rows._run
-
-    def run(self, batch, bad, nstep, stage):
-        calls.append((batch, nstep, stage))
-        return original(self, batch, bad, nstep, stage)
-
-    with mock.patch.object(rows.Rows, "_run", run):
-        yield calls
-
-
-def replay(calls: list[Call]) -> float:
-    """Seconds that the bare calls take."""
-    states = {id(batch): batch.state.copy() for batch, _, _ in calls}
-    began = time.perf_counter()
-    spent = 0.0
-    for batch, nstep, stage in calls:
-        if nstep:
-            # Back to a recorded state, outside the clock: stepping on would leave the trajectory.
-            spent += time.perf_counter() - began
-            batch.state[...] = states[id(batch)]
-            began = time.perf_counter()
-            batch.step(nstep=nstep)
-        else:
-            batch.forward(stage=stage)
-    return spent + time.perf_counter() - began
+def floor() -> Iterator[Floor]:
+    """Counts while the block runs; one thread only."""
+    found = Floor()
+    with (
+        mock.patch.object(Batch, "step", found.timed("step")),
+        mock.patch.object(Batch, "forward", found.timed("forward")),
+    ):
+        yield found

@@ -301,11 +301,9 @@ class _Fusion:
         """Drop what no reading can reach any more."""
         if not self._memory:
             self._inbox.forget(k + 1)
-            self.whiteness.settle(k + 1)
             return
         oldest = int(np.searchsorted(self._ticks, self._ticks[k] - self._delays.window))
         self._inbox.forget(oldest)
-        self.whiteness.settle(oldest)
         for j in [j for j in self._priors if j < oldest]:
             del self._priors[j], self._controls[j]
 
@@ -364,7 +362,7 @@ class _Recorder:
 
     def traces(self, fusion: _Fusion, cpu_time: float) -> Traces:
         """What was recorded."""
-        lags, lag_terms = fusion.whiteness.finish()
+        lags, lag_terms = fusion.whiteness.sums()
         return Traces(
             truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
             nis=fusion.nis, dof=fusion.dof, lags=lags, lag_terms=lag_terms, fault=self._fault,

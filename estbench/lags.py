@@ -1,4 +1,4 @@
-"""Lag products of whitened innovations, summed while a filter runs."""
+"""Lag products of whitened innovations: what a white sequence has none of."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ LAGS = 10
 
 
 class Lags:
-    """Sums of ν̃ₖ ν̃ₖ₋ₗ, l = 0 ... LAGS, over the arrivals of each component, once final.
+    """Sums of ν̃ₖ ν̃ₖ₋ₗ, l = 0 ... LAGS, over the arrivals of each component.
 
     ν̃ = L⁻¹ν with S = L Lᵀ. A component's past is what arrived of it in that run: neither other
     channels nor the other runs of a batch matter.
@@ -21,20 +21,11 @@ class Lags:
     Args:
         runs: how many.
         widths: channel -> count of its components.
-
-    Attributes:
-        sums: `(run, LAGS + 1)`.
-        terms: how many products of two numbers are in each `(run, LAGS + 1)`.
     """
 
     def __init__(self, runs: int, widths: Mapping[str, int]):
-        self.sums = np.zeros((runs, LAGS + 1))
-        self.terms = np.zeros((runs, LAGS + 1), np.int64)
-        ends = np.cumsum([0, *widths.values()])
-        self._slots = {name: np.arange(a, b) for name, a, b in zip(widths, ends, ends[1:])}
-        self._open: dict[tuple[int, int], tuple[Sequence[str], Array, Mask | None]] = {}
-        self._past = np.zeros((LAGS + 1, runs, ends[-1]))
-        self._known = np.zeros(self._past.shape, bool)
+        self._runs, self._widths = runs, dict(widths)
+        self._noted: dict[tuple[int, int], tuple[Sequence[str], Array, Mask | None]] = {}
 
     def put(
         self,
@@ -53,25 +44,37 @@ class Lags:
             white: ν̃ `(run, m)`, zero where nothing arrived.
             mask: `(run, m)`, True where a component arrived; None means everywhere.
         """
-        self._open[instant, layer] = (channels, white, mask)
+        self._noted[instant, layer] = (channels, white, mask)
 
-    def settle(self, before: int) -> None:
-        """Count the innovations of instants that no replay can change any more."""
-        for key in sorted(k for k in self._open if k[0] < before):
-            channels, white, mask = self._open.pop(key)
-            columns = np.concatenate([self._slots[name] for name in channels])
-            came = np.ones(white.shape, bool) if mask is None else mask
-            past, known = self._past[:, :, columns], self._known[:, :, columns]
-            now = np.concatenate([white[None], past[:-1]])
-            both = np.concatenate([came[None], known[:-1]])
-            if mask is not None:
-                now, both = np.where(came, now, past), np.where(came, both, known)
-            self._past[:, :, columns], self._known[:, :, columns] = now, both
-            both = both & came
-            self.sums += np.where(both, now * white, 0.0).sum(axis=-1).T
-            self.terms += both.sum(axis=-1).T
+    def sums(self) -> tuple[Array, NDArray[np.int64]]:
+        """The sums, and how many products of two numbers are in each, both `(run, LAGS + 1)`."""
+        sums = np.zeros((self._runs, LAGS + 1))
+        terms = np.zeros((self._runs, LAGS + 1), np.int64)
+        for name in self._widths:
+            white, count = self._series(name)
+            for lag in range(min(LAGS + 1, white.shape[-1])):
+                ahead, behind = white[..., lag:], white[..., : white.shape[-1] - lag]
+                sums[:, lag] += (ahead * behind).sum(axis=(-2, -1))
+                terms[:, lag] += np.maximum(count - lag, 0).sum(axis=-1)
+        return sums, terms
 
-    def finish(self) -> tuple[Array, NDArray[np.int64]]:
-        """Sums and terms of everything."""
-        self.settle(np.iinfo(np.int64).max)
-        return self.sums, self.terms
+    def _series(self, name: str) -> tuple[Array, NDArray[np.int64]]:
+        """A channel's arrivals in order `(run, m, arrival)`, zeros after the last, and how many."""
+        width = self._widths[name]
+        whites, masks = [np.empty((0, self._runs, width))], [np.empty((0, self._runs, width), bool)]
+        for key in sorted(self._noted):
+            channels, white, mask = self._noted[key]
+            if name in channels:
+                start = sum(self._widths[c] for c in channels[: channels.index(name)])
+                part = np.s_[:, start : start + width]
+                whites.append(white[part][None])
+                masks.append(
+                    np.ones((1, self._runs, width), bool) if mask is None else mask[part][None]
+                )
+        # Time last: a run's sums are then the same, to the last bit, whatever shares its batch.
+        white = np.ascontiguousarray(np.moveaxis(np.concatenate(whites), 0, -1))
+        came = np.moveaxis(np.concatenate(masks), 0, -1)
+        if not came.all():
+            order = np.argsort(~came, axis=-1, kind="stable")
+            white = np.take_along_axis(np.where(came, white, 0.0), order, axis=-1)
+        return white, came.sum(axis=-1)

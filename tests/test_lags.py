@@ -28,13 +28,11 @@ def by_hand(arrivals, runs):
     return sums, terms
 
 
-def fed(arrivals, runs, settle=3):
+def fed(arrivals, runs):
     lags = Lags(runs, WIDTHS)
     for k, (channels, white, mask) in enumerate(arrivals):
         lags.put(k, 0, channels, white, mask)
-        if k % settle == 0:
-            lags.settle(k)
-    return lags.finish()
+    return lags.sums()
 
 
 def check(arrivals, runs):
@@ -86,16 +84,15 @@ def test_runs_do_not_depend_on_their_batch():
         np.testing.assert_array_equal(got, expected[2:4])
 
 
-def test_a_replay_replaces_what_is_not_settled():
+def test_a_replay_replaces():
     whites = normal(7, 8)
     lags = Lags(4, WIDTHS)
     for k in range(8):
         lags.put(k, 0, ("gyro",), np.full((4, 2), 99.0) if k > 3 else whites[k])
-        lags.settle(min(k, 4))
     for k in range(4, 8):
         lags.put(k, 0, ("gyro",), whites[k])
     expected = by_hand([(("gyro",), white, None) for white in whites], 4)
-    np.testing.assert_allclose(lags.finish()[0], expected[0])
+    np.testing.assert_allclose(lags.sums()[0], expected[0])
 
 
 def test_a_failed_run_spoils_only_itself():
@@ -110,6 +107,6 @@ def test_a_failed_run_spoils_only_itself():
 
 
 def test_nothing_arrived():
-    sums, terms = Lags(2, WIDTHS).finish()
+    sums, terms = Lags(2, WIDTHS).sums()
     assert sums.shape == terms.shape == (2, LAGS + 1)
     assert not terms.any()

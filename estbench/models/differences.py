@@ -33,7 +33,7 @@ class Differences:
 
     def directions(self, n: int) -> Array:
         """Tangent perturbations `(point, n)`; the first is zero."""
-        return _directions(n, self.step, self.scheme)
+        return _directions(n, self.step, self.scheme, n)
 
     def slope(self, space: Manifold, values: Array) -> Array:
         """Jacobian `(run, m, n)` from values `(run, point, ny)` at the `directions`."""
@@ -44,16 +44,32 @@ class Differences:
         return change.mT / self.step
 
     def jacobian(
-        self, function: Callable[[Array], Array], source: Manifold, target: Manifold, x: Array
+        self,
+        function: Callable[[Array], Array],
+        source: Manifold,
+        target: Manifold,
+        x: Array,
+        reach: int | None = None,
     ) -> tuple[Array, Array]:
-        """Value `(run, ny)` and Jacobian `(run, m, n)` of a function of `(run, point, nx)` at x."""
-        values = function(source.plus(x[:, None], self.directions(source.n)))
-        return values[:, 0], self.slope(target, values)
+        """Value `(run, ny)` and Jacobian `(run, m, n)` of a function of `(run, point, nx)` at x.
+
+        `reach`: how many tangent coordinates, from the first on, the function depends on; the
+        other columns are zero and cost nothing.
+        """
+        n = source.n
+        reach = n if reach is None else reach
+        values = function(source.plus(x[:, None], _directions(n, self.step, self.scheme, reach)))
+        slope = self.slope(target, values)
+        if reach == n:
+            return values[:, 0], slope
+        out = np.zeros((*slope.shape[:-1], n))
+        out[..., :reach] = slope
+        return values[:, 0], out
 
 
 @lru_cache(maxsize=64)
-def _directions(n: int, step: float, scheme: str) -> Array:
-    axes = step * np.eye(n)
+def _directions(n: int, step: float, scheme: str, reach: int) -> Array:
+    axes = step * np.eye(n)[:reach]
     parts = [np.zeros((1, n)), axes] + ([-axes] if scheme == "centered" else [])
     out = np.concatenate(parts)
     out.flags.writeable = False  # it is shared

@@ -5,6 +5,7 @@ Three things are changed in every copy: warm starts are off, so that a step is a
 controls are not clamped inside MuJoCo but before the actuator noise is added (`clamp`).
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -139,6 +140,31 @@ def compile_model(
     # With this flag the energy sensors of a row would read another row's energies.
     model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     return model
+
+
+def lean(model: mujoco.MjModel, sensors: bool) -> mujoco.MjModel:
+    """A copy that leaves out work which cannot change a result, to the last bit.
+
+    Collision detection goes where no pair of geoms may collide, the constraint solver where besides
+    nothing is limited, tied or rubs, and the sensors where none is read. For a small robot this is
+    a quarter of a step.
+    """
+    flags = mujoco.mjtDisableBit
+    skip = 0 if sensors or model.nplugin else int(flags.mjDSBL_SENSOR)
+    collide = np.bitwise_or.reduce(model.geom_contype, initial=0) & np.bitwise_or.reduce(
+        model.geom_conaffinity, initial=0
+    )
+    if not (collide or model.npair or model.nflex):
+        skip |= int(flags.mjDSBL_CONTACT)
+        constraints = (
+            model.jnt_limited, model.tendon_limited, model.dof_frictionloss,
+            model.tendon_frictionloss, model.nplugin, model.neq,
+        )  # fmt: skip
+        if not any(np.any(c) for c in constraints):
+            skip |= int(flags.mjDSBL_CONSTRAINT)
+    out = copy.copy(model)
+    out.opt.disableflags |= skip
+    return out
 
 
 _PREFIXES = {

@@ -138,13 +138,16 @@ class MujocoModel:
     def measurement_jacobian(
         self, x: Array, u: Array, t: float, channels: Channels = None
     ) -> tuple[Array, Array]:
-        """h(x) and H by differences."""
+        """h(x) and H, by differences where the readings are more than numbers of the state."""
+        plan = self._select(channels).plan
+        if plan.known is not None:
+            point, tangent = plan.known
+            H = np.eye(self._space.n)[tangent]
+            return x[:, point], np.broadcast_to(H, (len(x), *H.shape))
         return self.differences.jacobian(
             lambda points: self.measurement(points, u, t, channels),
-            self._space,
-            self.output(channels),
-            x,
-        )
+            self._space, plan.space, x, plan.reach,
+        )  # fmt: skip
 
     def measurement_noise(self, t: float, channels: Channels = None) -> Array:
         """R, block-diagonal over the channels."""

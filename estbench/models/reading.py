@@ -75,11 +75,17 @@ class Source:
 
 
 class Plan:
-    """How to read some channels together: one pass of MuJoCo for all of its sensors.
+    """How to read some channels together: one pass of MuJoCo for all of its sensors, or none.
 
     Args:
         model: compiled MuJoCo model.
         sources: one a channel, in order.
+
+    Attributes:
+        space: the manifold of the readings.
+        known: where the readings are numbers of the state and nothing else (joint encoders and
+            tachometers): which of x `(ny,)` and which of its tangent `(ny,)`; else None.
+        reach: how many tangent coordinates, from the first on, the readings can depend on.
     """
 
     def __init__(self, model: mujoco.MjModel, sources: Sequence[Source]):
@@ -89,9 +95,15 @@ class Plan:
         self._columns = np.concatenate(parts) if parts else np.zeros(0, np.intp)
         self._stage = needed_stage(model, sensors)
         self._sources = tuple(sources) if any(s.function for s in sources) else ()
+        self.known = None if self._sources else _coordinates(model, sensors, self._columns)
+        nv, na = model.nv, model.na
+        reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position shows no velocity
+        self.reach = reach[-1] if self._sources else reach[self._stage]
 
     def read(self, rows: Rows, x: Array, u: Array, t: float) -> Array:
         """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
+        if self.known is not None:
+            return x[..., self.known[0]]
         if not self._sources:
             return rows.read(x, u, t, self._stage, self._columns)
         sensed, start = np.empty((*x.shape[:-1], 0)), 0
@@ -105,6 +117,25 @@ class Plan:
             parts.append(sensed[..., start : start + source.space.nx])
             start += source.space.nx
         return np.concatenate(parts, axis=-1)
+
+
+def _coordinates(
+    model: mujoco.MjModel, sensors: Sequence[int], columns: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+    """See `Plan.known`."""
+    kinds = {mujoco.mjtSensor.mjSENS_JOINTPOS: 0, mujoco.mjtSensor.mjSENS_JOINTVEL: 1}
+    found = {}
+    for i in sensors:
+        kind = kinds.get(mujoco.mjtSensor(model.sensor_type[i]))
+        if kind is None or model.sensor_cutoff[i] > 0:
+            return None
+        joint = model.sensor_objid[i]
+        dof = model.jnt_dofadr[joint]
+        found[model.sensor_adr[i]] = (
+            (model.nq + dof, model.nv + dof) if kind else (model.jnt_qposadr[joint], dof)
+        )
+    pairs = np.array([found[c] for c in columns], np.intp).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
 
 
 def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:

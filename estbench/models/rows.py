@@ -5,6 +5,7 @@ large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent
 """
 
 import ctypes
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
+
+from estbench.models import mjcf
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,7 +35,10 @@ class Rows:
         self.nthread = nthread
         self.nx = model.nq + model.nv + model.na
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
-        self._batches: dict[int, Batch] = {}
+        self._batches: dict[tuple[int, bool], Batch] = {}
+        # Keyed by whether sensors are wanted: what only steps need not read any.
+        self._models = {sensed: mjcf.lean(model, sensed) for sensed in (False, True)}
+        self._varied = False
         probe = Batch(model, 1, 1)
         address = probe.state.ctypes.data
 
@@ -48,18 +54,24 @@ class Rows:
         self._ctrl = columns("ctrl", model.nu)
         self._force = columns("qfrc_applied", model.nv)
 
-    def batch(self, count: int) -> Batch:
-        """The batch of `count` rows, with zero forces."""
-        if count not in self._batches:
-            self._batches[count] = Batch(self.model, count, self.nthread)
-            self._batches[count].bind("sensordata")
-        return self._batches[count]
+    def batch(self, count: int, sensed: bool) -> Batch:
+        """The batch of `count` rows, with zero forces, that reads sensors or does not."""
+        if (count, sensed) not in self._batches:
+            batch = Batch(self._models[sensed], count, self.nthread)
+            if sensed:
+                batch.bind("sensordata")
+            self._batches[count, sensed] = batch
+        return self._batches[count, sensed]
 
     def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
         """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
-        batch = self.batch(count)
-        batch.expand(field)[:, index] = values
-        batch.set_const()
+        if not self._varied:  # the parameter may be what switches a constraint on
+            self._models, self._batches = dict.fromkeys(self._models, self.model), {}
+            self._varied = True
+        for sensed in self._models:
+            batch = self.batch(count, sensed)
+            batch.expand(field)[:, index] = values
+            batch.set_const()
 
     def step(self, x: Array, u: Array, t: float, nstep: int, force: Array | None = None) -> Array:
         """States `(..., nx)` after `nstep` physics steps.
@@ -71,7 +83,7 @@ class Rows:
             nstep: physics steps.
             force: generalized forces `(run, point, nv)` held over the steps.
         """
-        batch, rows, bad = self._load(x, u, t)
+        batch, rows, bad = self._load(x, u, t, sensed=False)
         if force is not None:
             rows[..., self._force] = force
         bad = self._run(batch, bad, nstep, 0)
@@ -84,7 +96,7 @@ class Rows:
 
     def read(self, x: Array, u: Array, t: float, stage: int, columns: NDArray[np.intp]) -> Array:
         """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
-        batch, _, bad = self._load(x, u, t)
+        batch, _, bad = self._load(x, u, t, sensed=True)
         bad = self._run(batch, bad, 0, stage)
         out = batch.bind("sensordata")[:, columns]
         if bad is not None:
@@ -96,7 +108,7 @@ class Rows:
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
         """
-        batch, rows, bad = self._load(x, u, t)
+        batch, rows, bad = self._load(x, u, t, sensed=False)
         derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
         if force is not None:
             rows[..., self._force] = force
@@ -109,10 +121,10 @@ class Rows:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
-    def _load(self, x: Array, u: Array, t: float) -> tuple[Batch, Array, Mask | None]:
+    def _load(self, x: Array, u: Array, t: float, sensed: bool) -> tuple[Batch, Array, Mask | None]:
         """Write states and controls; rows that are not finite are parked at rest and returned."""
         lead = x.shape[:-1]
-        batch = self.batch(int(np.prod(lead)))
+        batch = self.batch(math.prod(lead), sensed)
         rows = batch.state.reshape(*lead, -1)
         bad = None
         if not np.isfinite(x.sum()):

@@ -242,3 +242,39 @@ def test_clamp():
     np.testing.assert_array_equal(mjcf.clamp(model, u), expected)
     free = SimpleNamespace(actuator_ctrllimited=np.zeros(2, np.uint8))
     np.testing.assert_array_equal(mjcf.clamp(free, u), u)
+
+
+@pytest.mark.parametrize("name", sorted(ZOO))
+@pytest.mark.parametrize("sensors", [False, True])
+def test_a_lean_copy_gives_the_same_to_the_last_bit(name, sensors):
+    model = zoo_model(name)
+    leaner = mjcf.lean(model, sensors)
+    rng = np.random.default_rng(0)
+    datas = [mujoco.MjData(m) for m in (model, leaner)]
+    for _ in range(20):
+        qvel, ctrl = rng.normal(size=model.nv), rng.normal(size=model.nu)
+        for m, d in zip((model, leaner), datas):
+            d.qvel[:], d.ctrl[:] = qvel, ctrl
+            mujoco.mj_step(m, d)
+            mujoco.mj_forward(m, d)
+        fields = ["qpos", "qvel", "act", "qacc"] + ["sensordata"] * sensors
+        for field in fields:
+            np.testing.assert_array_equal(*(getattr(d, field) for d in datas))
+
+
+def test_a_lean_copy_leaves_out_only_what_does_nothing():
+    flags = mujoco.mjtDisableBit
+    skipped = flags.mjDSBL_CONTACT | flags.mjDSBL_CONSTRAINT
+
+    def lean(text):
+        model = mujoco.MjModel.from_xml_string(text)
+        return mjcf.lean(model, True).opt.disableflags & skipped
+
+    ball = """<mujoco><worldbody>
+        <body><joint type="slide" {}/><geom size="1" {}/></body>{}
+    </worldbody></mujoco>"""
+    alone, floor = 'contype="0"', '<geom type="plane" size="1 1 1"/>'
+    assert lean(ball.format("", alone, "")) == skipped
+    assert lean(ball.format("", "", floor)) == 0
+    assert lean(ball.format('range="-1 1" limited="true"', alone, "")) == flags.mjDSBL_CONTACT
+    assert lean(ball.format('frictionloss="1"', alone, "")) == flags.mjDSBL_CONTACT

@@ -131,3 +131,22 @@ def test_a_function_cannot_change_the_state():
     before = x.copy()
     Source(Manifold(("a",), ("1",)), function=harm, name="f").call(x, u, 0.0)
     np.testing.assert_array_equal(x, before)
+
+
+def test_encoders_and_tachometers_need_no_engine():
+    model = zoo_model("joints")
+    encoder = Plan(model, [Source.of_sensors(model, 0)])
+    assert encoder.known is not None
+    assert encoder.reach == model.nv
+    np.testing.assert_array_equal(encoder.known, [[0], [0]])
+    assert Plan(model, sources(model)[:1]).known is None
+    model.sensor_cutoff[0] = 0.5  # a clipped reading is not the coordinate
+    assert Plan(model, [Source.of_sensors(model, 0)]).known is None
+
+
+def test_what_a_sensor_can_see_of_the_state():
+    model = zoo_model("joints")
+    attitude, function, imu = sources(model)
+    assert Plan(model, [attitude]).reach == model.nv
+    assert Plan(model, [imu]).reach == 2 * model.nv
+    assert Plan(model, [attitude, function]).reach == 2 * model.nv + model.na
