@@ -14,7 +14,7 @@ from estbench.envs.flaws import Flawed, Source, White
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.replay import Measurement
 from estbench.models import layout
-from estbench.models.mujoco import needed_stage
+from estbench.models.reading import Plan
 from estbench.models.rows import Rows
 from estbench.sensors import Channel
 
@@ -31,7 +31,6 @@ class _Group:
         period, phase: in physics steps; the first reading is at `phase`, or at `period`.
         source: their noise and imperfections.
         delay: until their readings arrive, or None for none.
-        columns: of sensordata.
         point: their columns in the point of all readings.
         width: count of components.
     """
@@ -42,7 +41,6 @@ class _Group:
     phase: int
     source: Source
     delay: Delay | None
-    columns: NDArray[np.intp]
     point: NDArray[np.intp]
     width: int
 
@@ -96,7 +94,7 @@ class Readings:
         self._timestep = float(model.opt.timestep)
         self._groups = self._grouped(rows, frozenset(quiet))
         self._late = [group for group in self._groups if group.delay is not None]
-        self._plans: dict[tuple[int, ...], tuple[NDArray[np.intp], int]] = {}
+        self._plans: dict[tuple[int, ...], Plan] = {}
         # A stuck sensor repeats what it saw, so it has to have seen something.
         self._look = look or any(c.part is not None and c.part.stuck for c in channels)
         self.tick = np.zeros(rows, np.int64)
@@ -231,14 +229,12 @@ class Readings:
         """Noise-free readings `(row, ny)` of some groups."""
         chosen = [self._groups[i] for i in groups]
         if groups not in self._plans:
-            sensors = [self.channels[c].index for g in chosen for c in g.channels]
-            columns = np.concatenate([g.columns for g in chosen])
-            self._plans[groups] = (columns, needed_stage(self._model, sensors))
-        columns, stage = self._plans[groups]
-        y, out, start = self._rows.read(x, u, t, stage, columns), [], 0
+            sources = [self.channels[c].source for g in chosen for c in g.channels]
+            self._plans[groups] = Plan(self._model, sources)
+        y, out, start = self._plans[groups].read(self._rows, x, u, t), [], 0
         for group in chosen:
-            out.append((group, y[:, start : start + len(group.columns)]))
-            start += len(group.columns)
+            out.append((group, y[:, start : start + len(group.point)]))
+            start += len(group.point)
         return out
 
     def _grouped(self, rows: int, quiet: frozenset[str]) -> list[_Group]:
@@ -266,7 +262,6 @@ class Readings:
                     phase=phase,
                     source=source,
                     delay=None if chosen[0].timing.punctual else Delay(chosen[0], rows),
-                    columns=np.concatenate([c.columns for c in chosen]),
                     point=np.concatenate([np.arange(starts[i], starts[i + 1]) for i in numbers]),
                     width=space.n,
                 )

@@ -4,6 +4,8 @@ numpy has no batched triangular solve and scipy's is a Python loop over the stac
 substitutions below are vectorized over the stack and loop over the (small) matrix order.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,7 @@ def cholesky(a: Array) -> Array:
             return np.full_like(a, np.nan)
         half = len(a) // 2
         return np.concatenate([cholesky(a[:half]), cholesky(a[half:])])
-    if not np.isfinite(lower.sum()):  # LAPACK lets some infinities and NaNs pass
+    if not math.isfinite(lower.sum()):  # LAPACK lets some infinities and NaNs pass
         lower[~np.isfinite(lower).all(axis=(-2, -1))] = np.nan
     return lower
 
@@ -66,7 +68,7 @@ def solve_lower_transposed(lower: Array, b: Array) -> Array:
 def quadratic_form(cov: Array, v: Array) -> Array:
     """vᵀ P⁻¹ v `(run,)` for P `(run, n, n)`, v `(run, n)`; NaN where P has no Cholesky factor."""
     white = solve_lower(cholesky(cov), v[..., None])[..., 0]
-    return np.einsum("...i,...i->...", white, white)
+    return np.vecdot(white, white)
 
 
 def psd_factor(a: Array) -> Array:

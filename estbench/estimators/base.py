@@ -1,16 +1,16 @@
 """Beliefs, the estimator protocol, and the measurement update that every Gaussian filter shares."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
-from estbench.linalg import cholesky, solve_lower, solve_lower_transposed
+from estbench.linalg import cholesky, solve_lower
 from estbench.manifold import Manifold
 from estbench.models.base import Channels
 
@@ -173,19 +173,14 @@ class Correction:
         reduction: K S Kᵀ `(run, n, n)`, what the update takes from P.
         innovation: ν, S and NIS.
         fault: `Fault.INNOVATION` where S has no Cholesky factor.
+        gain: K `(run, n, m)`.
     """
 
     delta: Array
     reduction: Array
     innovation: Innovation
     fault: NDArray[np.uint8]
-    _lower: Array
-    _whitened: Array
-
-    @cached_property
-    def gain(self) -> Array:
-        """K = Wᵀ L⁻¹ `(run, n, m)`; made when asked for, as not every filter needs it."""
-        return solve_lower_transposed(self._lower, self._whitened).mT
+    gain: Array
 
 
 def correct(
@@ -193,7 +188,7 @@ def correct(
 ) -> Correction:
     """Condition on an innovation: K = Pxy S⁻¹ by Cholesky (source 003, eq. 3-4; Bishop, eq. 20).
 
-    With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K ν = Wᵀ (L⁻¹ ν), K S Kᵀ = Wᵀ W, NIS = |L⁻¹ ν|².
+    With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K = Wᵀ L⁻¹, K ν = Wᵀ (L⁻¹ ν), K S Kᵀ = Wᵀ W, NIS = |L⁻¹ ν|².
     A component that did not arrive is taken out exactly: its cross-covariance and residual are
     zero and its row and column of S are those of the identity.
 
@@ -203,7 +198,7 @@ def correct(
         cross: Pxy `(run, n, m)` (P Hᵀ for a linear measurement).
         mask: `(run, m)`, True where a component arrived.
     """
-    m = S.shape[-1]
+    m, n = S.shape[-1], cross.shape[-2]
     if mask is not None and not mask.all():
         both = mask[:, :, None] & mask[:, None, :]
         S = np.where(both, S, np.eye(m))
@@ -213,35 +208,45 @@ def correct(
     else:
         dof = np.full(len(S), m)
     lower = cholesky(S)
-    joint = np.concatenate([cross.mT, residual[..., None]], axis=-1)
+    joint = np.zeros((len(S), m, n + 1 + m))
+    joint[..., :n], joint[..., n], joint[..., n + 1 :] = cross.mT, residual, np.eye(m)
     joint = solve_lower(lower, joint)
-    W, white = joint[..., :-1], joint[..., -1]
+    W, white = joint[..., :n], joint[..., n]
     Wt = W.mT
     delta = (Wt @ white[..., None])[..., 0]
-    nis = np.einsum("ij,ij->i", white, white)
+    nis = np.vecdot(white, white)
     fault = np.zeros(len(S), np.uint8)
-    if not np.isfinite(nis.sum()):
+    if not math.isfinite(nis.sum()):
         factored = np.isfinite(lower[:, 0, 0])
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
     innovation = Innovation(residual, S, white, nis, dof)
-    return Correction(delta, Wt @ W, innovation, fault, lower, W)
+    return Correction(delta, Wt @ W, innovation, fault, Wt @ joint[..., n + 1 :])
 
 
-def settle(space: Manifold, prior: Gaussian, delta: Array, cov: Array, fault: Any = 0) -> Gaussian:
+def settle(
+    space: Manifold,
+    prior: Gaussian,
+    delta: Array,
+    cov: Array,
+    fault: NDArray[np.uint8] | None = None,
+) -> Gaussian:
     """The posterior x̂⁻ ⊞ δ with its covariance carried to the new tangent; failures marked."""
     return marked(
         replace(prior, mean=space.plus(prior.mean, delta), cov=space.transport(cov, delta)), fault
     )
 
 
-def marked(belief: Gaussian, fault: Any = 0) -> Gaussian:
+def marked(belief: Gaussian, fault: NDArray[np.uint8] | None = None) -> Gaussian:
     """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
     quick = belief.mean.sum() + belief.cov.sum()  # finite only if every number is
-    if np.isfinite(quick) and not np.any(fault) and not belief.fault.any():
+    new = fault is not None and fault.any()
+    if math.isfinite(quick) and not new and not belief.fault.any():
         return belief
     finite = np.isfinite(belief.mean).all(axis=-1) & np.isfinite(belief.cov).all(axis=(-2, -1))
-    new = np.where(fault, fault, np.where(finite, Fault.NONE, Fault.STATE)).astype(np.uint8)
-    code = np.where(belief.fault, belief.fault, new)
+    code = np.where(finite, Fault.NONE, Fault.STATE).astype(np.uint8)
+    if fault is not None:
+        code = np.where(fault, fault, code)
+    code = np.where(belief.fault, belief.fault, code)
     bad = code != Fault.NONE
     return replace(
         belief,

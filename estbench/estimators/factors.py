@@ -1,7 +1,6 @@
 """Triangular factors of covariances: by QR, by rank-one updates, and beliefs that carry them."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,7 @@ class FactorEstimator:
 
 
 def factor_belief(
-    mean: Array, factor: Array, fault: NDArray[np.uint8], new: Any = 0
+    mean: Array, factor: Array, fault: NDArray[np.uint8], new: NDArray[np.uint8] | None = None
 ) -> FactorBelief:
     """A belief with every run that is not finite, or has a `new` fault, set to NaN and marked."""
     checked = marked(Gaussian(mean, factor, fault), new)
@@ -61,7 +60,11 @@ def factor_belief(
 
 
 def factor_settle(
-    space: Manifold, prior: FactorBelief, delta: Array, factor: Array, fault: Any = 0
+    space: Manifold,
+    prior: FactorBelief,
+    delta: Array,
+    factor: Array,
+    fault: NDArray[np.uint8] | None = None,
 ) -> FactorBelief:
     """The posterior x̂⁻ ⊞ δ with its factor carried to the new tangent, J L, made triangular."""
     if not space.flat:

@@ -103,6 +103,8 @@ class Disturbance:
 
     def _density(self, t: float) -> Array:
         """Q_s at t."""
+        if self.schedule is None:
+            return self.density
         size = np.sqrt(self.at(t))
         return self.density * np.outer(size, size) if np.ndim(size) else self.density * size**2
 

@@ -141,9 +141,8 @@ class MujocoModel:
         """h(x) and H, by differences where the readings are more than numbers of the state."""
         plan = self._select(channels).plan
         if plan.known is not None:
-            point, tangent = plan.known
-            H = np.eye(self._space.n)[tangent]
-            return x[:, point], np.broadcast_to(H, (len(x), *H.shape))
+            point, H = plan.known
+            return x[:, point], H[None].repeat(len(x), axis=0)
         return self.differences.jacobian(
             lambda points: self.measurement(points, u, t, channels),
             self._space, plan.space, x, plan.reach,

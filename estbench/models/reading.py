@@ -84,7 +84,7 @@ class Plan:
     Attributes:
         space: the manifold of the readings.
         known: where the readings are numbers of the state and nothing else (joint encoders and
-            tachometers): which of x `(ny,)` and which of its tangent `(ny,)`; else None.
+            tachometers): which of x `(ny,)`, and the Jacobian H `(ny, n)`; else None.
         reach: how many tangent coordinates, from the first on, the readings can depend on.
     """
 
@@ -121,7 +121,7 @@ class Plan:
 
 def _coordinates(
     model: mujoco.MjModel, sensors: Sequence[int], columns: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+) -> tuple[NDArray[np.intp], Array] | None:
     """See `Plan.known`."""
     kinds = {mujoco.mjtSensor.mjSENS_JOINTPOS: 0, mujoco.mjtSensor.mjSENS_JOINTVEL: 1}
     found = {}
@@ -135,7 +135,7 @@ def _coordinates(
             (model.nq + dof, model.nv + dof) if kind else (model.jnt_qposadr[joint], dof)
         )
     pairs = np.array([found[c] for c in columns], np.intp).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
+    return pairs[:, 0], np.eye(2 * model.nv + model.na)[pairs[:, 1]]
 
 
 def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:

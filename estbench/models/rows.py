@@ -127,7 +127,7 @@ class Rows:
         batch = self.batch(math.prod(lead), sensed)
         rows = batch.state.reshape(*lead, -1)
         bad = None
-        if not np.isfinite(x.sum()):
+        if not math.isfinite(x.sum()):
             broken = ~np.isfinite(x).all(axis=-1)
             if broken.any():
                 x = np.where(broken[..., None], self.rest, x)

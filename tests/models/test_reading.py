@@ -138,7 +138,8 @@ def test_encoders_and_tachometers_need_no_engine():
     encoder = Plan(model, [Source.of_sensors(model, 0)])
     assert encoder.known is not None
     assert encoder.reach == model.nv
-    np.testing.assert_array_equal(encoder.known, [[0], [0]])
+    np.testing.assert_array_equal(encoder.known[0], [0])
+    np.testing.assert_array_equal(encoder.known[1], np.eye(2 * model.nv + model.na)[:1])
     assert Plan(model, sources(model)[:1]).known is None
     model.sensor_cutoff[0] = 0.5  # a clipped reading is not the coordinate
     assert Plan(model, [Source.of_sensors(model, 0)]).known is None
