@@ -12,7 +12,7 @@ from estbench.envs.merge import select
 from estbench.envs.replay import Measurement, Memory
 from estbench.errors import EstbenchError, EstimatorError
 from estbench.estimators.base import Estimator, Innovation
-from estbench.linalg import quadratic_form
+from estbench.linalg import quadratic_form, surely_finite
 from estbench.manifold import Manifold
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ class FilterBank:
         """Take mean and covariance from the belief after the updates of a step."""
         with np.errstate(invalid="ignore", over="ignore"):
             mean, cov = self.estimator.mean(self.belief), self.estimator.cov(self.belief)
-        if np.isfinite(mean.sum() + cov.sum()) and not self.failed.any():
+        if not np.count_nonzero(self.failed) and surely_finite(mean, cov):
             self.estimate, self.cov = np.array(mean), np.array(cov)
             return
         good = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-2, -1)) & ~self.failed
@@ -140,7 +140,7 @@ class FilterBank:
             error = self.space.minus(truth, self.estimate)
             nees = self._nees(error)
         diverged = self.failed | (nees > self._threshold * self.space.n)
-        if not np.isfinite(nees.sum()) or self.failed.any():
+        if np.count_nonzero(self.failed) or not surely_finite(nees):
             bad = ~np.isfinite(nees) | self.failed
             nees[bad] = np.inf
             diverged &= ~bad | self.failed
@@ -195,4 +195,4 @@ class FilterBank:
 
 def _without_nan(values: Array, instead: float = 0.0) -> Array:
     """A copy, with a number for NaN."""
-    return values.copy() if np.isfinite(values.sum()) else np.nan_to_num(values, nan=instead)
+    return values.copy() if surely_finite(values) else np.nan_to_num(values, nan=instead)

@@ -125,4 +125,4 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
 
 def first(info: dict[str, Any]) -> dict[str, Any]:
     """The info of the first row: arrays lose their row axis, numbers become Python's."""
-    return {k: v[0].item() if v.ndim == 1 else v[0].copy() for k, v in info.items()}
+    return {k: v[0].item() if v.ndim == 1 else v[0] for k, v in info.items()}

@@ -1,6 +1,5 @@
 """Beliefs, the estimator protocol, and the measurement update that every Gaussian filter shares."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
-from estbench.linalg import cholesky, solve_lower
+from estbench.linalg import cholesky, solve_lower, surely_finite
 from estbench.manifold import Manifold
 from estbench.models.base import Channels
 
@@ -216,7 +215,7 @@ def correct(
     delta = (Wt @ white[..., None])[..., 0]
     nis = np.vecdot(white, white)
     fault = np.zeros(len(S), np.uint8)
-    if not math.isfinite(nis.sum()):
+    if not surely_finite(nis):
         factored = np.isfinite(lower[:, 0, 0])
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
     innovation = Innovation(residual, S, white, nis, dof)
@@ -238,9 +237,8 @@ def settle(
 
 def marked(belief: Gaussian, fault: NDArray[np.uint8] | None = None) -> Gaussian:
     """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
-    quick = belief.mean.sum() + belief.cov.sum()  # finite only if every number is
-    new = fault is not None and fault.any()
-    if math.isfinite(quick) and not new and not belief.fault.any():
+    failed = np.count_nonzero(belief.fault) or (fault is not None and np.count_nonzero(fault))
+    if not failed and surely_finite(belief.mean, belief.cov):
         return belief
     finite = np.isfinite(belief.mean).all(axis=-1) & np.isfinite(belief.cov).all(axis=(-2, -1))
     code = np.where(finite, Fault.NONE, Fault.STATE).astype(np.uint8)

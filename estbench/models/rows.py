@@ -16,6 +16,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from estbench.linalg import surely_finite
 from estbench.models import mjcf
 
 Array = NDArray[np.float64]
@@ -127,7 +128,7 @@ class Rows:
         batch = self.batch(math.prod(lead), sensed)
         rows = batch.state.reshape(*lead, -1)
         bad = None
-        if not math.isfinite(x.sum()):
+        if not surely_finite(x):
             broken = ~np.isfinite(x).all(axis=-1)
             if broken.any():
                 x = np.where(broken[..., None], self.rest, x)
@@ -150,7 +151,7 @@ class Rows:
             failed = np.zeros(batch.nsim, bool)
             failed[error.ids] = True
         warned = batch.warning[:, _BAD_STATE, 1]
-        if warned.any():
+        if np.count_nonzero(warned):
             blown = warned.any(axis=1)
             failed = blown if failed is None else failed | blown
             batch.warning[...] = 0
