@@ -66,7 +66,7 @@ def scalar() -> None:
     bank, readings = observer.bank, observer.readings
     assert bank is not None
     model, belief = bank.estimator.model, bank.belief
-    batch = model._rows.batch(5, sensed=False)
+    batch = model._rows.batch(5)
     x, u, dt = env._state(), np.zeros((1, 1)), 2 * model.mjmodel.opt.timestep
     print("  of which")
     for name, call in {
@@ -106,8 +106,8 @@ def vector() -> None:
         )
         observer = env.world.observer  # pyright: ignore[reportAttributeAccessIssue]
         rows = observer.bank.estimator.model._rows
-        floor = best(lambda: rows.batch(5 * ROWS, False).step(nstep=1), 100)  # noqa: B023
-        floor += best(lambda: rows.batch(ROWS, False).step(nstep=1), 100)  # noqa: B023
+        floor = best(lambda: rows.batch(5 * ROWS).step(nstep=1), 100)  # noqa: B023
+        floor += best(lambda: rows.batch(ROWS).step(nstep=1), 100)  # noqa: B023
         print(f"    bare Batch calls {floor:.0f} µs of {1e6 * ROWS / np.median(quick):.0f} a step")
         env.close()
 

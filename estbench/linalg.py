@@ -20,9 +20,10 @@ def symmetrize(a: Array) -> Array:
 def surely_finite(*arrays: Array) -> bool:
     """Whether every number is finite, at a third of `np.isfinite(...).all()`'s cost.
 
-    False may also mean that squares overflow (numbers above 1e150): ask numpy then.
+    False may also mean that squares or the sum overflow (above 1e150): ask numpy then.
     """
-    return all(math.isfinite(np.vdot(a, a)) for a in arrays)
+    # A long dot product would start BLAS threads, which fight with the batches' own.
+    return all(math.isfinite(np.vdot(a, a) if a.size < 4096 else a.sum()) for a in arrays)
 
 
 def cholesky(a: Array) -> Array:

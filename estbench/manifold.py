@@ -28,7 +28,7 @@ class Manifold:
         names: name of each tangent coordinate, `(n,)`.
         units: unit of each tangent coordinate, `(n,)`.
         quaternions: `(nquat, 2)` integers: where each quaternion starts in the point, and where its
-            rotation vector starts in the tangent. Every other coordinate is a real line, in order.
+            rotation vector starts in the tangent, in order. Every other coordinate is a real line.
     """
 
     names: tuple[str, ...]
@@ -40,19 +40,21 @@ class Manifold:
             raise DimensionError(
                 f"names has {len(self.names)} entries and units {len(self.units)}; give one each"
             )
-        quat_x = self.quaternions[:, :1] + np.arange(4)
-        quat_t = self.quaternions[:, 1:] + np.arange(3)
-        lines_x = np.setdiff1d(np.arange(self.nx), quat_x.ravel())
-        lines_t = np.setdiff1d(np.arange(self.n), quat_t.ravel())
-        for name, value in (
-            ("_quat_x", quat_x), ("_quat_t", quat_t), ("_lines_x", lines_x), ("_lines_t", lines_t),
-        ):  # fmt: skip
-            object.__setattr__(self, name, value)
+        lines, turns, start, shift = [], [], 0, 0
+        for point, tangent in (
+            *self.quaternions[self.quaternions[:, 0].argsort()],
+            (self.nx, self.n),
+        ):
+            lines.append((slice(start, point), slice(start - shift, tangent)))
+            start, shift = point + 4, shift + 1
+            turns.append((slice(point, start), slice(tangent, tangent + 3)))
+        object.__setattr__(self, "_lines", [(x, t) for x, t in lines if x.start < x.stop])
+        object.__setattr__(self, "_turns", turns[:-1])
 
-    _quat_x: NDArray[np.intp] = field(init=False, repr=False)
-    _quat_t: NDArray[np.intp] = field(init=False, repr=False)
-    _lines_x: NDArray[np.intp] = field(init=False, repr=False)
-    _lines_t: NDArray[np.intp] = field(init=False, repr=False)
+    # Slices of the point and of the tangent: stretches of real lines, and the quaternions. Slices
+    # and not lists of indices, which numpy would gather and scatter at several times the cost.
+    _lines: list[tuple[slice, slice]] = field(init=False, repr=False)
+    _turns: list[tuple[slice, slice]] = field(init=False, repr=False)
 
     @classmethod
     def euclidean(
@@ -84,9 +86,11 @@ class Manifold:
         if self.flat:
             return x + delta
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], delta.shape[:-1]), self.nx))
-        out[..., self._lines_x] = x[..., self._lines_x] + delta[..., self._lines_t]
-        turned = rotation.multiply(x[..., self._quat_x], rotation.exp(delta[..., self._quat_t]))
-        out[..., self._quat_x] = rotation.normalize(turned)
+        for at, to in self._lines:
+            np.add(x[..., at], delta[..., to], out=out[..., at])
+        for at, to in self._turns:
+            turned = rotation.multiply(x[..., at], rotation.exp(delta[..., to]))
+            out[..., at] = rotation.normalize(turned)
         return out
 
     def minus(self, x: Array, y: Array) -> Array:
@@ -94,9 +98,11 @@ class Manifold:
         if self.flat:
             return x - y
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), self.n))
-        out[..., self._lines_t] = x[..., self._lines_x] - y[..., self._lines_x]
-        q, p = rotation.normalize(x[..., self._quat_x]), rotation.normalize(y[..., self._quat_x])
-        out[..., self._quat_t] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
+        for at, to in self._lines:
+            np.subtract(x[..., at], y[..., at], out=out[..., to])
+        for at, to in self._turns:
+            q, p = rotation.normalize(x[..., at]), rotation.normalize(y[..., at])
+            out[..., to] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
         return out
 
     def mean(self, points: Array, weights: Array, iterations: int = 20) -> Array:

@@ -32,14 +32,18 @@ def conjugate(q: Array) -> Array:
 
 def normalize(q: Array) -> Array:
     """Scale quaternions `(..., 4)` to unit length; a zero quaternion becomes the identity."""
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    norm = _length(q)
     zero = norm == 0  # a NaN stays a NaN
     return np.where(zero, np.array([1.0, 0.0, 0.0, 0.0]), q / np.where(zero, 1.0, norm))
 
 
+def _length(v: Array) -> Array:
+    return np.sqrt(np.vecdot(v, v))[..., None]
+
+
 def exp(phi: Array) -> Array:
     """Quaternion `(..., 4)` of the rotation vector φ `(..., 3)` in rad."""
-    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    angle = _length(phi)
     # np.sinc(z) = sin(πz)/(πz), hence sin(θ/2)/θ without a division by zero.
     return np.concatenate(
         [np.cos(0.5 * angle), 0.5 * np.sinc(angle / (2.0 * np.pi)) * phi], axis=-1
@@ -49,7 +53,7 @@ def exp(phi: Array) -> Array:
 def log(q: Array) -> Array:
     """Rotation vector `(..., 3)` in rad, |φ| <= π, of a unit quaternion; q and -q give the same."""
     q = np.where(q[..., :1] < 0, -q, q)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    sine = _length(q[..., 1:])
     cosine = q[..., :1]
     small = sine < 1e-8
     safe = np.where(small, 1.0, sine)
@@ -70,7 +74,7 @@ def skew(v: Array) -> Array:
 
 def right_jacobian(phi: Array) -> Array:
     """J_r(φ) `(..., 3, 3)`: log(exp(φ)⁻¹ ⊗ exp(φ + e)) = J_r(φ) e + O(e²) (Solà eq. 183)."""
-    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    angle = _length(phi)[..., None]
     small = angle < 1e-4
     t = np.where(small, 1.0, angle)
     a = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(t)) / t**2)

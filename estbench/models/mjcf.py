@@ -9,7 +9,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -142,25 +142,40 @@ def compile_model(
     return model
 
 
-def lean(model: mujoco.MjModel, sensors: bool) -> mujoco.MjModel:
-    """A copy that leaves out work which cannot change a result, to the last bit.
+Use = Literal["step", "look", "feel"]
+"""Of a model: stepping; sensors of position and velocity; sensors of force and acceleration."""
 
-    Collision detection goes where no pair of geoms may collide, the constraint solver where besides
-    nothing is limited, tied or rubs, and the sensors where none is read. For a small robot this is
-    a quarter of a step.
+# They read constraints, or may read anything, at a stage before the constraint forces are known.
+_TOUCHY = [
+    getattr(mujoco.mjtSensor, f"mjSENS_{name}")
+    for name in (
+        "JOINTLIMITPOS", "JOINTLIMITVEL", "TENDONLIMITPOS", "TENDONLIMITVEL", "CONTACT", "USER",
+        "PLUGIN",
+    )
+]  # fmt: skip
+
+
+def lean(model: mujoco.MjModel, use: Use) -> mujoco.MjModel:
+    """A copy that leaves out work which cannot change what it is used for, to the last bit.
+
+    Sensors where none is read; collision detection where no pair of geoms may collide or no
+    sensor in use can tell; constraints where besides nothing is limited, tied or rubs. For a small
+    robot this is a quarter of a step.
     """
     flags = mujoco.mjtDisableBit
-    skip = 0 if sensors or model.nplugin else int(flags.mjDSBL_SENSOR)
-    collide = np.bitwise_or.reduce(model.geom_contype, initial=0) & np.bitwise_or.reduce(
-        model.geom_conaffinity, initial=0
-    )
-    if not (collide or model.npair or model.nflex):
+    skip = 0
+    if use == "step" and not model.nplugin:
+        skip |= int(flags.mjDSBL_SENSOR)
+    blind = use == "look" and not np.isin(model.sensor_type, _TOUCHY).any()
+    groups = (model.geom_contype, model.geom_conaffinity)
+    contype, conaffinity = (np.bitwise_or.reduce(g, initial=0) for g in groups)
+    if blind or not (contype & conaffinity or model.npair or model.nflex):
         skip |= int(flags.mjDSBL_CONTACT)
         constraints = (
             model.jnt_limited, model.tendon_limited, model.dof_frictionloss,
             model.tendon_frictionloss, model.nplugin, model.neq,
         )  # fmt: skip
-        if not any(np.any(c) for c in constraints):
+        if blind or not any(np.any(c) for c in constraints):
             skip |= int(flags.mjDSBL_CONSTRAINT)
     out = copy.copy(model)
     out.opt.disableflags |= skip

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import get_args
 
 import mujoco
 import numpy as np
@@ -36,9 +37,8 @@ class Rows:
         self.nthread = nthread
         self.nx = model.nq + model.nv + model.na
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
-        self._batches: dict[tuple[int, bool], Batch] = {}
-        # Keyed by whether sensors are wanted: what only steps need not read any.
-        self._models = {sensed: mjcf.lean(model, sensed) for sensed in (False, True)}
+        self._batches: dict[tuple[int, mjcf.Use], Batch] = {}
+        self._models = {use: mjcf.lean(model, use) for use in get_args(mjcf.Use)}
         self._varied = False
         probe = Batch(model, 1, 1)
         address = probe.state.ctypes.data
@@ -55,22 +55,22 @@ class Rows:
         self._ctrl = columns("ctrl", model.nu)
         self._force = columns("qfrc_applied", model.nv)
 
-    def batch(self, count: int, sensed: bool) -> Batch:
-        """The batch of `count` rows, with zero forces, that reads sensors or does not."""
-        if (count, sensed) not in self._batches:
-            batch = Batch(self._models[sensed], count, self.nthread)
-            if sensed:
+    def batch(self, count: int, use: mjcf.Use = "step") -> Batch:
+        """The batch of `count` rows for a use, with zero forces."""
+        if (count, use) not in self._batches:
+            batch = Batch(self._models[use], count, self.nthread)
+            if use != "step":
                 batch.bind("sensordata")
-            self._batches[count, sensed] = batch
-        return self._batches[count, sensed]
+            self._batches[count, use] = batch
+        return self._batches[count, use]
 
     def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
         """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
         if not self._varied:  # the parameter may be what switches a constraint on
             self._models, self._batches = dict.fromkeys(self._models, self.model), {}
             self._varied = True
-        for sensed in self._models:
-            batch = self.batch(count, sensed)
+        for use in self._models:
+            batch = self.batch(count, use)
             batch.expand(field)[:, index] = values
             batch.set_const()
 
@@ -84,7 +84,7 @@ class Rows:
             nstep: physics steps.
             force: generalized forces `(run, point, nv)` held over the steps.
         """
-        batch, rows, bad = self._load(x, u, t, sensed=False)
+        batch, rows, bad = self._load(x, u, t, "step")
         if force is not None:
             rows[..., self._force] = force
         bad = self._run(batch, bad, nstep, 0)
@@ -97,7 +97,8 @@ class Rows:
 
     def read(self, x: Array, u: Array, t: float, stage: int, columns: NDArray[np.intp]) -> Array:
         """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
-        batch, _, bad = self._load(x, u, t, sensed=True)
+        looks = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
+        batch, _, bad = self._load(x, u, t, "look" if looks else "feel")
         bad = self._run(batch, bad, 0, stage)
         out = batch.bind("sensordata")[:, columns]
         if bad is not None:
@@ -109,7 +110,7 @@ class Rows:
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
         """
-        batch, rows, bad = self._load(x, u, t, sensed=False)
+        batch, rows, bad = self._load(x, u, t, "step")
         derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
         if force is not None:
             rows[..., self._force] = force
@@ -122,10 +123,12 @@ class Rows:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
-    def _load(self, x: Array, u: Array, t: float, sensed: bool) -> tuple[Batch, Array, Mask | None]:
+    def _load(
+        self, x: Array, u: Array, t: float, use: mjcf.Use
+    ) -> tuple[Batch, Array, Mask | None]:
         """Write states and controls; rows that are not finite are parked at rest and returned."""
         lead = x.shape[:-1]
-        batch = self.batch(math.prod(lead), sensed)
+        batch = self.batch(math.prod(lead), use)
         rows = batch.state.reshape(*lead, -1)
         bad = None
         if not surely_finite(x):
