@@ -139,8 +139,12 @@ class Manifold:
         """The covariance `(..., n, n)` in the tangent at x ⊞ δ, given that at x: J P Jᵀ."""
         if self.flat:
             return cov
-        jacobian = self.reset_jacobian(delta)
-        return jacobian @ cov @ jacobian.mT
+        out = cov.copy()
+        for _, turn in self._turns:  # the rest of J is the identity
+            jacobian = rotation.right_jacobian(delta[..., turn])
+            out[..., turn, :] = jacobian @ out[..., turn, :]
+            out[..., turn] = out[..., turn] @ jacobian.mT
+        return out
 
     def index(self, name: str) -> int:
         """Position of the tangent coordinate `name`."""
