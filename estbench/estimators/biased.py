@@ -11,6 +11,7 @@ from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Innovation
 from estbench.estimators.schmidt import SchmidtEKF
+from estbench.estimators.settings import names, table
 from estbench.models.base import Channels, Model
 from estbench.models.wrappers import Augmented
 
@@ -51,6 +52,7 @@ class BiasFilter:
     _filter: Estimator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        table(self, "settings")
         try:
             augmented = Augmented.build(
                 self.model, self.bias, self.walk, self.time_constant, self.inputs, self.input_walk
@@ -113,6 +115,7 @@ class BiasEKF(BiasFilter):
     considered: Sequence[str] = ()
 
     def _build(self, augmented: Augmented) -> Estimator:
+        names(self, "considered")
         if not self.considered:
             return super()._build(augmented)
         name = f"{SchmidtEKF.__module__}:{SchmidtEKF.__name__}"

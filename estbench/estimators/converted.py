@@ -11,7 +11,7 @@ from estbench.errors import EstimatorError, did_you_mean
 from estbench.estimators.base import Gaussian, Innovation
 from estbench.estimators.ekf import EKF
 from estbench.estimators.kf import linear_update
-from estbench.estimators.settings import one_of
+from estbench.estimators.settings import names, one_of
 from estbench.models.base import Channels
 
 Array = NDArray[np.float64]
@@ -109,10 +109,13 @@ class ConvertedEKF(EKF):
             raise EstimatorError(
                 f"ConvertedEKF: range is {self.range!r} and bearing {self.bearing!r}; give both"
             )
-        if len(self.position) != 2 or len(self.origin) != 2:
+        names(self, "position")
+        origin = np.asarray(self.origin)
+        numbers = origin.dtype.kind in "fi" and origin.shape == (2,) and np.isfinite(origin).all()
+        if len(self.position) != 2 or not numbers:
             raise EstimatorError(
                 f"ConvertedEKF: position is {self.position!r} and origin {self.origin!r}; give two "
-                "coordinates each"
+                "names and two numbers"
             )
         if self.range is not None:
             wanted = [("range", self.range, outputs), ("bearing", self.bearing, outputs)]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from estbench.errors import EstimatorError
-from estbench.estimators.settings import in_range, switch
+from estbench.estimators.settings import switch, whole
 from estbench.estimators.sigma_points import gauss_hermite
 from estbench.estimators.ukf import SigmaPointFilter
 
@@ -33,9 +33,7 @@ class GHKF(SigmaPointFilter):
 
     def __post_init__(self) -> None:
         switch(self, "redraw")
-        in_range(self, "order", 2, 100)
-        if not isinstance(self.order, int):
-            raise EstimatorError(f"GHKF: order is {self.order!r}; use a whole number")
+        whole(self, "order", 2, 100)
         n = self.model.space.n
         if self.order**n > MOST_POINTS:
             raise EstimatorError(

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import EstimatorError
 from estbench.estimators.base import Gaussian, Innovation, correct, settle
 from estbench.estimators.ekf import EKF
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import in_range, whole
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels
 
@@ -40,10 +39,8 @@ class IEKF(EKF):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        in_range(self, "iterations", 1, 1000)
+        whole(self, "iterations", 1, 1000)
         in_range(self, "tolerance", 0.0)
-        if not isinstance(self.iterations, int):
-            raise EstimatorError(f"IEKF: iterations is {self.iterations!r}; use a whole number")
 
     def update(
         self,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Fault, Innovation
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import in_range, table
 from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
@@ -70,10 +70,12 @@ class IMM:
 
     def __post_init__(self) -> None:
         in_range(self, "switching", 0.0, 1.0)
+        table(self, "settings")
         models = self.models
         if models is None:
             scales = np.atleast_1d(np.asarray(self.process_noise_scales))
-            if scales.ndim != 1 or scales.dtype.kind not in "fi" or not (scales > 0).all():
+            numbers = scales.ndim == 1 and scales.size > 0 and scales.dtype.kind in "fi"
+            if not numbers or not ((scales > 0) & np.isfinite(scales)).all():
                 raise EstimatorError(
                     f"IMM: process_noise_scales is {self.process_noise_scales!r}; use a list of "
                     "positive numbers, one a mode"
@@ -177,7 +179,12 @@ class IMM:
         if self.transition is None:
             leave = self.switching / (count - 1) if count > 1 else 0.0
             return np.full((count, count), leave) + (1.0 - leave * count) * np.eye(count)
-        chain = np.asarray(self.transition, dtype=np.float64)
+        try:
+            chain = np.asarray(self.transition, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise EstimatorError(
+                f"IMM: transition is {self.transition!r}; use rows of numbers, one row a mode"
+            ) from None
         if chain.shape != (count, count):
             raise DimensionError(
                 f"IMM: transition has shape {chain.shape}; use {(count, count)}, one row a mode"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Gaussian, Innovation, Passage
-from estbench.estimators.settings import in_range, whole
+from estbench.estimators.settings import in_range, table, whole
 from estbench.models.base import Channels, Model
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
@@ -39,7 +39,8 @@ class FilterThenSmooth:
     _filter: Estimator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.base not in self.bases and ":" not in self.base:
+        table(self, "settings")
+        if self.base not in self.bases and ":" not in str(self.base):
             raise EstimatorError(
                 f"{type(self).__name__}: base is {self.base!r}; use one of "
                 f"{', '.join(self.bases)}, or your own as package.module:Name"

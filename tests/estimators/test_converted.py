@@ -176,7 +176,7 @@ def test_without_names_it_is_the_ekf_and_a_failed_run_stands_alone():
             {"range": "y0", "bearing": "y1", "position": ("x", "z")},
             "ConvertedEKF: position is 'z'; there is none",
         ),
-        ({"origin": (0.0,)}, "ConvertedEKF: .* give two coordinates each"),
+        ({"origin": (0.0,)}, "ConvertedEKF: .* give two names and two numbers"),
         ({"form": "biased"}, "ConvertedEKF: form is 'biased'; use one of multiplicative, additive"),
     ],
 )

@@ -203,7 +203,11 @@ def test_quaternion_states():
     [
         ({"switching": 2}, EstimatorError, "IMM: switching is 2"),
         ({"process_noise_scales": [1, -1]}, EstimatorError, "IMM: process_noise_scales is"),
-        ({"process_noise_scales": []}, EstimatorError, "IMM: models is a list of 0"),
+        (
+            {"process_noise_scales": []},
+            EstimatorError,
+            r"IMM: process_noise_scales is \[\]; use a list of positive",
+        ),
         ({"base": "ekff"}, EstimatorError, "no estimator 'ekff'"),
         ({"settings": {"alpha": 1}}, EstimatorError, "no setting 'alpha'"),
         ({"transition": [[1.0]]}, DimensionError, r"IMM: transition has shape \(1, 1\)"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import scaled_rule
 
 Array = NDArray[np.float64]
 EPOCH = datetime(2000, 1, 1)
@@ -77,9 +77,7 @@ class StoneSoupUKF(StoneSoupEKF):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        in_range(self, "alpha", 0.0, 1.0, low_open=True)
-        in_range(self, "beta", 0.0)
-        in_range(self, "kappa")
+        scaled_rule(self)
 
     def _predictor(self, transition: Any) -> Any:
         return library().UnscentedKalmanPredictor(
