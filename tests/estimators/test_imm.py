@@ -1,9 +1,11 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from estbench.errors import DimensionError, EstimatorError
+from estbench import experiment, setup
+from estbench.errors import DimensionError, EstimatorError, ScenarioError
 from estbench.estimators.base import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.imm import IMM, combine
@@ -99,6 +101,40 @@ def test_a_manoeuvre_raises_the_probability_of_the_noisy_mode():
         (quiet if t < 5 else moving).append(belief.probability[0, 1])
     assert np.mean(quiet[10:]) < 0.1
     assert np.mean(moving[10:]) > 0.75
+
+
+def test_models_may_have_their_process_noise_scaled_too():
+    models = (linear_model(0), linear_model(1))
+    mean, cov, u = start(models[0], 2)
+    scaled = [replace(m, Q=q * m.Q) for m, q in zip(models, (2.0, 5.0))]
+    a = IMM(models[0], models=models, process_noise_scales=[2.0, 5.0])
+    b = IMM(models[0], models=scaled)
+    one, other = (f.predict(f.init(mean, cov), u, 0.0, 1.0) for f in (a, b))
+    np.testing.assert_allclose(a.cov(one), b.cov(other), atol=1e-14)
+
+
+def test_a_scenario_says_what_each_mode_changes_of_the_filters_model():
+    """The truth has ten times the damping; one mode knows, and is soon believed."""
+    results = experiment.run(
+        "pendulum", ["ekf", "imm"], runs=20, duration=2.0,
+        overrides=['truth.set={"dof_damping.hinge"=0.5}', "consistency.burn_in=0.5",
+                   'estimators.imm={models=[{}, {"dof_damping.hinge"=0.5}]}'],
+    )  # fmt: skip
+    for wrong, right in zip(results["ekf"].rmse, results["imm"].rmse):
+        assert right.value < 0.2 * wrong.value
+
+
+@pytest.mark.parametrize(
+    ("models", "message"),
+    [
+        ('[{"dof_damping.hing"=0.5}]', r"estimators.imm.models: 'dof_damping.hing': no dof 'hing'"),
+        ("[3]", "estimators.imm.models: 3 is no table; use one like that of filter.set"),
+    ],
+)
+def test_a_scenarios_mode_that_is_wrong(models, message):
+    resolved = experiment.resolve("pendulum", overrides=[f"estimators.imm={{models={models}}}"])
+    with pytest.raises(ScenarioError, match=message):
+        setup.build(resolved)
 
 
 def test_missing_component_is_out_exactly():
@@ -213,6 +249,13 @@ def test_quaternion_states():
         ({"transition": [[1.0]]}, DimensionError, r"IMM: transition has shape \(1, 1\)"),
         ({"transition": [[1, 1], [0, 1]]}, EstimatorError, "IMM: transition is"),
         ({"models": [linear_model(0, n=2)]}, EstimatorError, "state coordinates x0, x1, x2"),
+        ({"models": []}, EstimatorError, "IMM: models is a list of 0; use at least one model"),
+        ({"models": 3}, EstimatorError, "IMM: models is 3; use at least one model"),
+        (
+            {"models": [linear_model(1)], "process_noise_scales": [1.0, 2.0]},
+            EstimatorError,
+            r"IMM: process_noise_scales is \[1.0, 2.0\]; use .* one a mode",
+        ),
     ],
 )
 def test_wrong_settings_say_so(settings, error, words):
