@@ -133,8 +133,8 @@ def test_update_is_the_kalman_update_of_the_converted_measurement(form):
     reference = EKF(linear)
     data = np.concatenate([z + STATION, y[:, 2:]], axis=-1)
     expected, other = reference.update(reference.init(mean, cov), data, u, 0.0)
-    np.testing.assert_allclose(posterior.mean, expected.mean, atol=1e-10)
-    np.testing.assert_allclose(posterior.cov, expected.cov, atol=1e-10)
+    np.testing.assert_allclose(posterior.mean, expected.mean, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(posterior.cov, expected.cov, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(innovation.nis, other.nis)
 
 
@@ -146,8 +146,8 @@ def test_one_of_the_two_alone_is_the_ekf_and_nothing_changes_nothing():
     posterior, innovation = filter.update(belief, seen, u, 0.0, mask=mask)
     expected, _ = ekf.update(belief, seen, u, 0.0, mask=mask)
     full, _ = filter.update(belief, y, u, 0.0)
-    np.testing.assert_allclose(posterior.mean[:3], expected.mean[:3], atol=1e-12)
-    np.testing.assert_allclose(posterior.cov[:3], expected.cov[:3], atol=1e-12)
+    np.testing.assert_allclose(posterior.mean[:3], expected.mean[:3], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(posterior.cov[:3], expected.cov[:3], rtol=1e-10, atol=1e-12)
     np.testing.assert_array_equal(posterior.mean[2], mean[2])
     np.testing.assert_array_equal(posterior.mean[3], full.mean[3])
     assert np.abs(full.mean[3] - expected.mean[3]).max() > 1e-3
