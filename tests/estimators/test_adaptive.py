@@ -26,14 +26,16 @@ def test_without_adaptation_it_is_the_ekf():
 
 
 @pytest.mark.parametrize("adapt", ["R", "Q", "both"])
-def test_equals_the_textbook(adapt):
-    model, window, dt = linear_model(2), 7, 0.5
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (3, 2), (4, 5)])
+def test_equals_the_textbook(n, m, seed, adapt):
+    model, window, dt = linear_model(seed, n, m), 7, 0.5
     assert model.B is not None
     assert model.D is not None
     mean, cov, u = start(model, 3)
     filter = AdaptiveEKF(model, adapt=adapt, window=window)
     belief = filter.init(mean, cov)
-    ys = np.random.default_rng(0).standard_normal((12, 3, 2)) * 3
+    ys = np.random.default_rng(seed).standard_normal((12, 3, m)) * 3
     for k, y in enumerate(ys):
         belief = filter.predict(belief, u, k * dt, dt)
         belief, _ = filter.update(belief, y, u, (k + 1) * dt)
@@ -46,7 +48,7 @@ def test_equals_the_textbook(adapt):
             R = correlation * np.sqrt(np.outer(r, r))
             nu, S = y - C @ x - model.D @ u[i], C @ P @ C.T + R
             K = P @ C.T @ np.linalg.inv(S)
-            x, P = x + K @ nu, (np.eye(3) - K @ C) @ P
+            x, P = x + K @ nu, (np.eye(n) - K @ C) @ P
             eta = nu - C @ (K @ nu)
             if adapt != "Q":
                 r = (1 - 1 / window) * r + (eta**2 + np.diag(C @ P @ C.T)) / window

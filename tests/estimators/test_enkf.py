@@ -37,8 +37,9 @@ def textbook(form, points, model, y, u, noise):
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(3))
-def test_update_equals_the_textbook(form, seed):
-    model = nonlinear_model(4)
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_update_equals_the_textbook(form, n, seed):
+    model = nonlinear_model(n)
     mean, cov, u = start(model, 3, seed)
     filter = EnKF(model, form, size=12)
     belief = filter.predict(filter.init(mean, cov), u, 0.0, 0.05)

@@ -16,8 +16,9 @@ def effective(belief):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_update_equals_the_textbook(seed):
-    model = nonlinear_model(4)
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_update_equals_the_textbook(n, seed):
+    model = nonlinear_model(n)
     mean, cov, u = start(model, 3, seed)
     filter = ParticleFilter(model, size=20, threshold=1.0)
     never = ParticleFilter(model, size=20, threshold=0.0)

@@ -14,13 +14,31 @@ from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_st
 METHODS = ("gate_components", "gate", "huber", "student_t")
 
 
-def problem(seed, runs=4):
-    """A chain of pendulums with four measured components, one of them off by 30 σ."""
-    model = nonlinear_model(6)
+def problem(seed, runs=4, n=6):
+    """A chain of pendulums, one of whose n/2 + 1 measured components is off by 30 σ."""
+    model = nonlinear_model(n)
     mean, cov, u = start(model, runs, seed)
     y = model.measurement(mean, u, 0.0) + 0.1
-    y[np.arange(runs), np.arange(runs) % 4] += 30 * np.sqrt(np.diag(model.R).max())
+    y[np.arange(runs), np.arange(runs) % (n // 2 + 1)] += 30 * np.sqrt(np.diag(model.R).max())
     return model, mean, cov, u, y
+
+
+def kalman(P, H, nu, R):
+    """δ and P⁺ of one linear update."""
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    return K @ nu, (np.eye(len(P)) - K @ H) @ P
+
+
+def huber_scale(e, P, H, L):
+    """R̃ by Huber's weights of the residuals whitened by R."""
+    white = np.linalg.inv(L) @ e
+    return L @ np.diag(np.maximum(np.abs(white) / 1.345, 1.0)) @ L.T
+
+
+def student_scale(e, P, H, L):
+    """R̃ by the expected precision of a multivariate Student-t with 5 degrees of freedom."""
+    square = np.trace(np.linalg.inv(L @ L.T) @ (np.outer(e, e) + H @ P @ H.T))
+    return L @ L.T * (5.0 + square) / (5.0 + len(e))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -72,25 +90,23 @@ def test_huber_reaches_the_minimum_of_its_loss(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_student_t_equals_the_textbook(seed):
-    model, mean, cov, u, y = problem(seed)
-    robust = RobustEKF(model, method="student_t", degrees=5.0, iterations=6)
+@pytest.mark.parametrize("n", [2, 4, 6])
+@pytest.mark.parametrize(
+    ("method", "scale"), [("huber", huber_scale), ("student_t", student_scale)]
+)
+def test_reweighting_equals_the_textbook(method, scale, n, seed):
+    model, mean, cov, u, y = problem(seed, n=n)
+    robust = RobustEKF(model, method=method, degrees=5.0, iterations=6)
     posterior, _ = robust.update(robust.init(mean, cov), y, u, 0.0)
     predicted, H = model.measurement_jacobian(mean, u, 0.0)
-    R = model.R
-
-    def kalman(P, H, nu, R):
-        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        return K @ nu, (np.eye(len(P)) - K @ H) @ P
-
+    L = np.linalg.cholesky(model.R)
     for i in range(len(y)):
-        weight, nu = 1.0, y[i] - predicted[i]
+        R, nu = model.R, y[i] - predicted[i]
         for _ in range(6):
-            delta, P = kalman(cov[i], H[i], nu, R / weight)
-            e = nu - H[i] @ delta
-            square = np.trace(np.linalg.inv(R) @ (np.outer(e, e) + H[i] @ P @ H[i].T))
-            weight = (5.0 + 4) / (5.0 + square)
-        delta, P = kalman(cov[i], H[i], nu, R / weight)
+            delta, P = kalman(cov[i], H[i], nu, R)
+            R = scale(nu - H[i] @ delta, P, H[i], L)
+        assert np.trace(R) > 1.5 * np.trace(model.R)
+        delta, P = kalman(cov[i], H[i], nu, R)
         np.testing.assert_allclose(posterior.mean[i], mean[i] + delta, rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(posterior.cov[i], P, rtol=1e-10, atol=1e-10)
 

@@ -12,13 +12,16 @@ from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_st
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_update_equals_the_textbook(seed):
-    model = linear_model(seed, n=5, m=3)
+@pytest.mark.parametrize(
+    ("n", "m", "e", "c"),
+    [(2, 1, [0], [1]), (5, 3, [0, 2, 3], [1, 4]), (6, 2, [1, 5], [0, 2, 3, 4])],
+)
+def test_update_equals_the_textbook(n, m, e, c, seed):
+    model = linear_model(seed, n, m)
     mean, cov, u = start(model, 3, seed)
-    filter = SchmidtEKF(model, considered=("x1", "x4"))
+    filter = SchmidtEKF(model, considered=[f"x{i}" for i in c])
     y = model.measurement(mean, u) + 0.5
     posterior, _ = filter.update(filter.init(mean, cov), y, u, 0.0)
-    e, c = [0, 2, 3], [1, 4]
     Hx, Hb = model.C[:, e], model.C[:, c]
     for i in range(3):  # Jazwinski's partitioned form
         Px, Pxb, Pb = (cov[i][np.ix_(*s)] for s in ((e, e), (e, c), (c, c)))
