@@ -27,8 +27,9 @@ class BiasFilter:
     (`inputs`: over the controls `u0`, `u1`, ...); what has no positive std gets no bias, and
     without any bias the filter is the base filter. See `estbench.models.wrappers.Augmented`.
 
-    Cost per step: the base filter's with one more state a bias. Choose it where persistent biases
-    are observable; tuning Q does not replace it.
+    Cost per step: the base filter's. k unknown inputs take the EKF 2 k + 1 transitions and
+    measurements more; every bias or input takes the UKF 2 of each more. Choose it where persistent
+    biases are observable; tuning Q does not replace it.
 
     Attributes:
         model: the model without biases.
