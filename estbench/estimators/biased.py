@@ -107,7 +107,7 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class BiasEKF(BiasFilter):
-    """The EKF with biases, of which some may be considered only (see `SchmidtEKF`).
+    """EKF with sensor biases and unknown inputs as states, estimated or only considered.
 
     Attributes:
         considered: patterns of coordinates that are not estimated, e.g. `bias.*`.
@@ -125,6 +125,6 @@ class BiasEKF(BiasFilter):
 
 @dataclass(frozen=True)
 class BiasUKF(BiasFilter):
-    """The UKF with biases; `settings` may hold alpha, beta, kappa, redraw."""
+    """UKF with sensor biases and unknown inputs as states; `settings` are those of `UKF`."""
 
     base: ClassVar[str] = "ukf"

@@ -22,7 +22,7 @@ SHORTEST_STEP = 1e-6
 
 @dataclass(frozen=True)
 class ContinuousDiscreteEKF(EKF):
-    """The EKF that integrates x̂, Φ and Q̄ together between measurements (Bishop, eq. 10-11).
+    """Continuous-discrete EKF: x̂, Φ and Q̄ integrated together (Bishop, eq. 10-11).
 
     dx̂/dt = f(x̂) + G u, dΦ/dt = F Φ, dQ̄/dt = F Q̄ + Q̄ Fᵀ + Q_s, then P⁻ = Φ P⁺ Φᵀ + Q̄; the update
     is the EKF's. On a manifold the tangent increment is integrated, from each RK4 substep's start.

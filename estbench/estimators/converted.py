@@ -74,7 +74,7 @@ def convert_range_bearing(
 
 @dataclass(frozen=True)
 class ConvertedEKF(EKF):
-    """The EKF that reads a range and a bearing as one linear Cartesian measurement.
+    """EKF on converted measurements: range and bearing as one Cartesian reading, bias removed.
 
     Where both arrive, their two rows become z - p with H selecting the position p; every other
     measurement, and one of the two alone, is treated as in the EKF. The innovation's two rows are

@@ -12,7 +12,7 @@ MOST_POINTS = 5000
 
 @dataclass(frozen=True)
 class GHKF(SigmaPointFilter):
-    """Gaussian filter by a product Gauss-Hermite rule, the reference for small n.
+    """Gauss-Hermite Kalman filter: a product rule of orderⁿ points, the reference for small n.
 
     Every Gaussian expectation in x̂⁻, P⁻, ŷ, S, Pxy is a sum over orderⁿ points, exact where the
     integrand is a polynomial of degree 2 order - 1 in each coordinate (Ito & Xiong 2000).

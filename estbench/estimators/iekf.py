@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class IEKF(EKF):
-    """The EKF whose update is repeated about its own result: Gauss-Newton on the posterior mode.
+    """Iterated EKF: the update repeated about its own result, Gauss-Newton on the posterior mode.
 
     It minimizes |x ⊖ x̂⁻|² in P⁻ plus |y ⊖ h(x)|² in R (Bell & Cathey 1993).
     The error stays in the chart at x̂⁻, xᵢ = x̂⁻ ⊞ δᵢ with δ₀ = 0, and the prior term is kept by

@@ -36,7 +36,7 @@ class Modes:
 
 @dataclass(frozen=True)
 class IMM:
-    """A bank of Gaussian filters, one a model; the model in force is a Markov chain.
+    """Interacting multiple models: a bank of filters, the model in force a Markov chain.
 
     Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-7 to
     -10), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SchmidtEKF(EKF):
-    """The EKF with a gain of zero for the considered coordinates: uncertain, but not estimated.
+    """Schmidt-Kalman EKF: considered coordinates are uncertain, but not estimated (gain zero).
 
     The optimal gain K = P⁻ Hᵀ S⁻¹ keeps its rows for the estimated coordinates only; the covariance
     is Joseph's with that gain, which holds for any gain, so the considered coordinates keep their

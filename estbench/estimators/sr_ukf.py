@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SquareRootUKF(FactorEstimator):
-    """The UKF with a triangular factor in place of P; points are redrawn before the update.
+    """Square-root UKF: a triangular factor in place of P; points are redrawn before the update.
 
     The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the equally weighted residuals and Q^½, then a
     rank-one update with the centre's residual, whose weight may be negative. The measurement takes
