@@ -7,9 +7,11 @@ import pytest
 from estbench import experiment, setup
 from estbench.errors import DimensionError, EstimatorError, ScenarioError
 from estbench.estimators.base import Fault
+from estbench.estimators.cd_ekf import ContinuousDiscreteEKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.imm import IMM, combine
 from estbench.estimators.ukf import UKF
+from estbench.models.continuous import ContinuousFunctionModel
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
 from tests.estimators.test_enkf import start
@@ -81,6 +83,24 @@ def test_equal_modes_are_the_base_filter(scales, base):
     np.testing.assert_allclose(imm.mean(a), b.mean, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(imm.cov(a), b.cov, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(a.probability, 1 / len(scales))
+
+
+def test_the_base_may_be_the_continuous_discrete_filter():
+    """With Q_s scaled; both modes alike are that filter."""
+    model = ContinuousFunctionModel(
+        lambda x, u, t: -np.sin(x), lambda x, u, t: x[..., :1], 0.1 * np.eye(2), np.eye(1)
+    )
+    mean, cov, u = start(model, 3)
+    imm = IMM(model, base="cd_ekf", process_noise_scales=[4.0, 4.0])
+    one = ContinuousDiscreteEKF(replace(model, Q_s=0.4 * np.eye(2)))
+    (a, _), (b, _) = (
+        f.update(f.predict(f.init(mean, cov), u, 0.0, 0.3), np.ones((3, 1)), u, 0.3)
+        for f in (imm, one)
+    )
+    np.testing.assert_allclose(imm.mean(a), b.mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(imm.cov(a), b.cov, rtol=1e-10, atol=1e-12)
+    with pytest.raises(EstimatorError, match="LinearModel has no method 'flow'; use a cont"):
+        IMM(linear_model(0), base="cd_ekf")
 
 
 def test_a_manoeuvre_raises_the_probability_of_the_noisy_mode():
