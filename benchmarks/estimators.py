@@ -39,7 +39,8 @@ def main() -> None:
     print(
         f"`python -m benchmarks.estimators > results/estimators.md`: {args.runs} runs of "
         f"{args.duration:g} s, seed 0, every setting at its default; RMSE over time and the runs "
-        "that did not diverge; cost is of one core. See [docs/estimators.md](../docs/estimators.md)"
+        "that did not diverge; cost is of one core. See "
+        "[docs/estimators.md](../docs/estimators.md)."
     )
     for robot in ROBOTS:
         print(f"\n## {robot}", flush=True)

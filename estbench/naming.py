@@ -29,8 +29,22 @@ def expand(
 
     Raises:
         DimensionError: a list of another length.
-        ScenarioError: a pattern that matches no name.
+        ScenarioError: a pattern that matches no name, or a value that is no number.
     """
+    try:
+        return _expanded(value, names, what, default)
+    except (TypeError, ValueError):
+        raise ScenarioError(
+            f"{what} is {value!r}; use a number, a list of numbers, or a table of name patterns"
+        ) from None
+
+
+def _expanded(
+    value: float | Sequence[float] | dict[str, float],
+    names: Sequence[str],
+    what: str,
+    default: float,
+) -> Array:
     if isinstance(value, dict):
         out = np.full(len(names), float(default))
         for pattern, number in value.items():

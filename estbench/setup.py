@@ -87,11 +87,11 @@ class Setup:
         """Start and end of every instant `(K + 1,)`, s."""
         return np.array([0.0] + [i.end for i in self.instants])
 
-    def model(self, nthread: int = 1) -> MujocoModel:
-        """A fresh filter model; one for each thread."""
+    def model(self, nthread: int = 1, robot: mujoco.MjModel | None = None) -> MujocoModel:
+        """A fresh filter model; one for each thread, or of another `robot` with the same state."""
         section = self.scenario.filter
         return MujocoModel(
-            self.filter_model,
+            robot or self.filter_model,
             self.filter_channels,
             self.filter_disturbance,
             Differences(section.differences, section.step),
@@ -107,10 +107,22 @@ class Setup:
     def estimator(self, label: str) -> Estimator:
         """The estimator of that label on a fresh model, started as the scenario says."""
         model, start = self.model(), self.start(label)
-        made = registry.create(label, self.settings(label), model)
+        settings = self.settings(label)
+        if isinstance(settings.get("models"), list):
+            settings["models"] = [self._varied(label, table) for table in settings["models"]]
+        made = registry.create(label, settings, model)
         if start.method == "prior":
             return made
         return starting.WarmStart(made, model, start.window, start.method)
+
+    def _varied(self, label: str, changes: Any) -> MujocoModel:
+        """The filter's model with some parameters set, as one of the `models` of an estimator."""
+        where = f"estimators.{label}.models"
+        if not isinstance(changes, dict):
+            raise ScenarioError(
+                f"{where}: {changes!r} is no table; use one like that of filter.set"
+            )
+        return self.model(robot=mjcf.changed(self.filter_model, changes, where))
 
     def settings(self, label: str) -> dict[str, Any]:
         """The estimator's own settings, without those of the event loop."""

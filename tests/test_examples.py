@@ -45,6 +45,17 @@ def test_outliers_are_mended_by_gating_and_by_robust_updates():
         assert rmse(results, "ekf")[0] > 1.5 * rmse(results, label)[0]
 
 
+def test_a_coarse_bearing_is_mended_by_conversion_with_noise_from_the_prediction(monkeypatch):
+    monkeypatch.chdir(EXAMPLES.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    results = run("radar", 60, 40.0)
+    assert results["converted"].verdict in ("consistent", "undecided")
+    assert results["converted"].anees.value == pytest.approx(1.0, abs=0.25)
+    assert results["from_reading"].anees.low > 2.0
+    assert results["standard"].anees.low > 5.0
+    assert (rmse(results, "standard") > 1.2 * rmse(results, "converted")).all()
+
+
 def test_a_filter_of_ones_own_from_the_command_line(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(EXAMPLES.parent)
     monkeypatch.setattr(sys, "path", [*sys.path])

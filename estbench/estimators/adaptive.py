@@ -38,7 +38,7 @@ class AdaptiveBelief(Gaussian):
 
 @dataclass(frozen=True)
 class AdaptiveEKF(EKF):
-    """The EKF with noise covariances that follow the innovations, and with the usual enlargements.
+    """Adaptive EKF: R or Q follow the innovations; inflation, fading memory, pseudo-noise.
 
     R: the variance of each coordinate follows η² + (H P⁺ Hᵀ)ᵢᵢ with the residual η = y ⊖ h after
     the update, its correlations stay the model's. Q: it follows Q + K (ν νᵀ - S) Kᵀ, which is

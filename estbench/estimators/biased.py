@@ -11,6 +11,7 @@ from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Innovation
 from estbench.estimators.schmidt import SchmidtEKF
+from estbench.estimators.settings import names, table
 from estbench.models.base import Channels, Model
 from estbench.models.wrappers import Augmented
 
@@ -26,8 +27,9 @@ class BiasFilter:
     (`inputs`: over the controls `u0`, `u1`, ...); what has no positive std gets no bias, and
     without any bias the filter is the base filter. See `estbench.models.wrappers.Augmented`.
 
-    Cost per step: the base filter's with one more state a bias. Choose it where persistent biases
-    are observable; tuning Q does not replace it.
+    Cost per step: the base filter's. k unknown inputs take the EKF 2 k + 1 transitions and
+    measurements more; every bias or input takes the UKF 2 of each more. Choose it where persistent
+    biases are observable; tuning Q does not replace it.
 
     Attributes:
         model: the model without biases.
@@ -51,6 +53,7 @@ class BiasFilter:
     _filter: Estimator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        table(self, "settings")
         try:
             augmented = Augmented.build(
                 self.model, self.bias, self.walk, self.time_constant, self.inputs, self.input_walk
@@ -104,7 +107,7 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class BiasEKF(BiasFilter):
-    """The EKF with biases, of which some may be considered only (see `SchmidtEKF`).
+    """EKF with sensor biases and unknown inputs as states, estimated or only considered.
 
     Attributes:
         considered: patterns of coordinates that are not estimated, e.g. `bias.*`.
@@ -113,6 +116,7 @@ class BiasEKF(BiasFilter):
     considered: Sequence[str] = ()
 
     def _build(self, augmented: Augmented) -> Estimator:
+        names(self, "considered")
         if not self.considered:
             return super()._build(augmented)
         name = f"{SchmidtEKF.__module__}:{SchmidtEKF.__name__}"
@@ -121,6 +125,6 @@ class BiasEKF(BiasFilter):
 
 @dataclass(frozen=True)
 class BiasUKF(BiasFilter):
-    """The UKF with biases; `settings` may hold alpha, beta, kappa, redraw."""
+    """UKF with sensor biases and unknown inputs as states; `settings` are those of `UKF`."""
 
     base: ClassVar[str] = "ukf"

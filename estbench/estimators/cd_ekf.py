@@ -10,7 +10,7 @@ from scipy.integrate import RK45
 from estbench.errors import EstimatorError
 from estbench.estimators.base import Gaussian, marked
 from estbench.estimators.ekf import EKF
-from estbench.estimators.settings import in_range, one_of
+from estbench.estimators.settings import in_range, one_of, whole
 from estbench.linalg import symmetrize
 from estbench.models.continuous import ContinuousModel, integrate_moments, moment_rates
 
@@ -22,7 +22,7 @@ SHORTEST_STEP = 1e-6
 
 @dataclass(frozen=True)
 class ContinuousDiscreteEKF(EKF):
-    """The EKF that integrates x̂, Φ and Q̄ together between measurements (Bishop, eq. 10-11).
+    """Continuous-discrete EKF: x̂, Φ and Q̄ integrated together (Bishop, eq. 10-11).
 
     dx̂/dt = f(x̂) + G u, dΦ/dt = F Φ, dQ̄/dt = F Q̄ + Q̄ Fᵀ + Q_s, then P⁻ = Φ P⁺ Φᵀ + Q̄; the update
     is the EKF's. On a manifold the tangent increment is integrated, from each RK4 substep's start.
@@ -49,13 +49,9 @@ class ContinuousDiscreteEKF(EKF):
     def __post_init__(self) -> None:
         super().__post_init__()
         one_of(self, "method", ("rk4", "rk45"))
-        in_range(self, "substeps", 1, 1_000_000)
+        whole(self, "substeps", 1, 1_000_000)
         in_range(self, "rtol", 1e-12, 1.0)
         in_range(self, "atol", 0.0, low_open=True)
-        if not isinstance(self.substeps, int):
-            raise EstimatorError(
-                f"ContinuousDiscreteEKF: substeps is {self.substeps!r}; use a whole number"
-            )
         for name in ("flow", "flow_jacobian", "spectral_density"):
             if not callable(getattr(self.model, name, None)):
                 raise EstimatorError(

@@ -9,7 +9,7 @@ from estbench.estimators.ukf import SigmaPointFilter
 
 @dataclass(frozen=True)
 class CKF(SigmaPointFilter):
-    """Gaussian filter by the third-degree cubature rule: 2 n points of equal positive weight.
+    """Cubature Kalman filter: the third-degree rule, 2 n points of equal positive weight.
 
     x̂⁻, P⁻ from the propagated points and Q, then fresh points for ŷ, S and Pxy (Arasaratnam &
     Haykin 2009, appendix A). It is the UKF with α = 1, β = κ = 0, less the point at the centre.

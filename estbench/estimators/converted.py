@@ -11,12 +11,12 @@ from estbench.errors import EstimatorError, did_you_mean
 from estbench.estimators.base import Gaussian, Innovation
 from estbench.estimators.ekf import EKF
 from estbench.estimators.kf import linear_update
-from estbench.estimators.settings import one_of
+from estbench.estimators.settings import names, one_of
 from estbench.models.base import Channels
 
 Array = NDArray[np.float64]
-Form = Literal["multiplicative", "additive", "standard"]
-FORMS: tuple[Form, ...] = ("multiplicative", "additive", "standard")
+Form = Literal["decorrelated", "multiplicative", "additive", "standard"]
+FORMS: tuple[Form, ...] = ("decorrelated", "multiplicative", "additive", "standard")
 
 
 def convert_range_bearing(
@@ -26,25 +26,27 @@ def convert_range_bearing(
     std_bearing: Array | float,
     form: Form = "multiplicative",
 ) -> tuple[Array, Array]:
-    """Cartesian z `(..., 2)` and its R `(..., 2, 2)` from ranges and bearings `(...)`.
+    """Cartesian z `(..., 2)` and its R `(..., 2, 2)` from ranges and bearings `(...)` alone.
 
-    r cos θ is too short on average by λ = exp(-σ²/2), since E cos(θ + w) = λ cos θ.
+    r cos θ is too short on average by λ = exp(-σ²/2), since E cos(θ + w) = λ cos θ. R is that given
+    the measurement, so it moves with the measurement's error (see `predicted_noise`).
 
     Args:
         distance: measured range, m (any unit).
         bearing: measured angle from the x axis towards y, rad.
         std_range: standard deviation of the range.
         std_bearing: standard deviation σ of the bearing, rad.
-        form: `multiplicative` divides by λ, unbiased for any noise (Longbin et al. 1998);
-            `additive` subtracts the mean error given the measurement (Lerro & Bar-Shalom 1993);
-            `standard` leaves the bias and linearizes R, right for r σ² ≪ std_range only.
+        form: `multiplicative` (and `decorrelated`, which takes another R) divides by λ, unbiased
+            for any noise (Longbin et al. 1998); `additive` subtracts the mean error given the
+            measurement (Lerro & Bar-Shalom 1993); `standard` leaves the bias and linearizes R,
+            right for r σ² ≪ std_range only.
     """
     s2, r2, v = np.asarray(std_bearing) ** 2, np.asarray(distance) ** 2, np.asarray(std_range) ** 2
     cos, sin = np.cos(bearing), np.sin(bearing)
     cos2, sin2, both = cos**2, sin**2, cos * sin
     unit = np.stack(np.broadcast_arrays(cos, sin), axis=-1)
     z = np.asarray(distance)[..., None] * unit
-    if form == "multiplicative":
+    if form in ("multiplicative", "decorrelated"):
         growth = np.exp(s2)[..., None]  # λ⁻²
         # Given the measurement the truth's mean is λ r cos θ, its mean square
         # (r² + σ_r²)(1 ± λ⁴ cos 2θ)/2.
@@ -72,9 +74,33 @@ def convert_range_bearing(
     return np.broadcast_to(z, (*rows.shape[:-1], 2)), rows.reshape(*rows.shape[:-1], 2, 2)
 
 
+def predicted_noise(
+    position: Array, cov: Array, std_range: Array | float, std_bearing: Array | float
+) -> Array:
+    """R `(..., 2, 2)` of z = r (cos θ, sin θ)/λ over the noise and over the predicted position.
+
+    With M = E p pᵀ: E z zᵀ - M = ½ e^σ² ((tr M + σ_r²) (1 - ε) I + 2 ε (1 + σ_r²/tr M) M) - M,
+    ε = exp(-2 σ²) (decorrelated conversion, Bordonaro, Willett & Bar-Shalom 2014). It knows nothing
+    of the measurement, so the gain and the measurement's error do not correlate: a reading that
+    happens to look near does not count for more. Exact but for the direction in the term of σ_r².
+
+    Args:
+        position: predicted mean of p, seen from the sensor `(..., 2)`.
+        cov: its covariance `(..., 2, 2)`.
+        std_range: standard deviation of the range.
+        std_bearing: standard deviation σ of the bearing, rad.
+    """
+    second = position[..., :, None] * position[..., None, :] + cov
+    square = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
+    s2, v = (np.asarray(std)[..., None, None] ** 2 for std in (std_bearing, std_range))
+    shrink = np.exp(-2.0 * s2)
+    round_part = (square + v) * (1.0 - shrink) * np.eye(2)
+    return 0.5 * np.exp(s2) * (round_part + 2.0 * shrink * (1.0 + v / square) * second) - second
+
+
 @dataclass(frozen=True)
 class ConvertedEKF(EKF):
-    """The EKF that reads a range and a bearing as one linear Cartesian measurement.
+    """EKF on converted measurements: range and bearing as one Cartesian reading, bias removed.
 
     Where both arrive, their two rows become z - p with H selecting the position p; every other
     measurement, and one of the two alone, is treated as in the EKF. The innovation's two rows are
@@ -90,14 +116,16 @@ class ConvertedEKF(EKF):
         bearing: name of the bearing, from the x axis towards y, rad.
         position: names of the two state coordinates that are seen, x and y.
         origin: where the sensor is.
-        form: see `convert_range_bearing`.
+        form: `decorrelated`, R from the prediction (`predicted_noise`); or R from the measurement
+            (`convert_range_bearing`), which over many updates makes the filter overconfident where
+            the bearing is coarse.
     """
 
     range: str | None = None
     bearing: str | None = None
     position: Sequence[str] = ("x", "y")
     origin: Sequence[float] = (0.0, 0.0)
-    form: Form = "multiplicative"
+    form: Form = "decorrelated"
     _seen: tuple[int, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -109,10 +137,13 @@ class ConvertedEKF(EKF):
             raise EstimatorError(
                 f"ConvertedEKF: range is {self.range!r} and bearing {self.bearing!r}; give both"
             )
-        if len(self.position) != 2 or len(self.origin) != 2:
+        names(self, "position")
+        origin = np.asarray(self.origin)
+        numbers = origin.dtype.kind in "fi" and origin.shape == (2,) and np.isfinite(origin).all()
+        if len(self.position) != 2 or not numbers:
             raise EstimatorError(
                 f"ConvertedEKF: position is {self.position!r} and origin {self.origin!r}; give two "
-                "coordinates each"
+                "names and two numbers"
             )
         if self.range is not None:
             wanted = [("range", self.range, outputs), ("bearing", self.bearing, outputs)]
@@ -148,6 +179,9 @@ class ConvertedEKF(EKF):
         position = space.minus(belief.mean, np.zeros(space.nx))[:, list(self._seen)]
         std = np.sqrt(R[:, rows, rows])
         z, noise = convert_range_bearing(polar[:, 0], polar[:, 1], std[:, 0], std[:, 1], self.form)
+        if self.form == "decorrelated":
+            spread = belief.cov[:, self._seen][:, :, self._seen]
+            noise = predicted_noise(position - np.asarray(self.origin), spread, *std.T)
         linear, mixed, exact = residual.copy(), R.copy(), H.copy()
         linear[:, rows] = z + np.asarray(self.origin) - position
         mixed[:, rows], mixed[:, :, rows] = 0.0, 0.0

@@ -36,7 +36,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class EnKF:
-    """Moments from an ensemble that the model itself propagates; no Jacobian, no covariance kept.
+    """Ensemble Kalman filter: moments of points that the model propagates; no Jacobian, no P kept.
 
     Cost per step: `size` transitions and `size` measurements. Choose it where n is too large for
     2 n + 1 sigma points, or the belief is bent but still has one peak. The error of P is of order

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from estbench.errors import EstimatorError
-from estbench.estimators.settings import in_range, switch
+from estbench.estimators.settings import switch, whole
 from estbench.estimators.sigma_points import gauss_hermite
 from estbench.estimators.ukf import SigmaPointFilter
 
@@ -12,7 +12,7 @@ MOST_POINTS = 5000
 
 @dataclass(frozen=True)
 class GHKF(SigmaPointFilter):
-    """Gaussian filter by a product Gauss-Hermite rule, the reference for small n.
+    """Gauss-Hermite Kalman filter: a product rule of orderⁿ points, the reference for small n.
 
     Every Gaussian expectation in x̂⁻, P⁻, ŷ, S, Pxy is a sum over orderⁿ points, exact where the
     integrand is a polynomial of degree 2 order - 1 in each coordinate (Ito & Xiong 2000).
@@ -33,9 +33,7 @@ class GHKF(SigmaPointFilter):
 
     def __post_init__(self) -> None:
         switch(self, "redraw")
-        in_range(self, "order", 2, 100)
-        if not isinstance(self.order, int):
-            raise EstimatorError(f"GHKF: order is {self.order!r}; use a whole number")
+        whole(self, "order", 2, 100)
         n = self.model.space.n
         if self.order**n > MOST_POINTS:
             raise EstimatorError(

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import EstimatorError
 from estbench.estimators.base import Gaussian, Innovation, correct, settle
 from estbench.estimators.ekf import EKF
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import in_range, whole
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels
 
@@ -17,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class IEKF(EKF):
-    """The EKF whose update is repeated about its own result: Gauss-Newton on the posterior mode.
+    """Iterated EKF: the update repeated about its own result, Gauss-Newton on the posterior mode.
 
     It minimizes |x ⊖ x̂⁻|² in P⁻ plus |y ⊖ h(x)|² in R (Bell & Cathey 1993).
     The error stays in the chart at x̂⁻, xᵢ = x̂⁻ ⊞ δᵢ with δ₀ = 0, and the prior term is kept by
@@ -40,10 +39,8 @@ class IEKF(EKF):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        in_range(self, "iterations", 1, 1000)
+        whole(self, "iterations", 1, 1000)
         in_range(self, "tolerance", 0.0)
-        if not isinstance(self.iterations, int):
-            raise EstimatorError(f"IEKF: iterations is {self.iterations!r}; use a whole number")
 
     def update(
         self,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Fault, Innovation
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import in_range, table
 from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
@@ -36,7 +36,7 @@ class Modes:
 
 @dataclass(frozen=True)
 class IMM:
-    """A bank of Gaussian filters, one a model; the model in force is a Markov chain.
+    """Interacting multiple models: a bank of filters, the model in force a Markov chain.
 
     Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-7 to
     -10), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The
@@ -48,12 +48,14 @@ class IMM:
     A mode that fails in a run gets probability zero and is started again by the next mixing.
 
     Attributes:
-        model: the model, from which `process_noise_scales` makes one a mode.
-        models: the modes' models on the same state space, in place of scaled ones.
+        model: the model that the modes are made of, and whose state is estimated.
+        models: the modes' models on the same state space; by default the one model for all. In a
+            scenario a list of tables, each what that mode changes of the filter's model, like
+            `filter.set`.
         transition: probability of going from mode i to mode j at a prediction `(mode, mode)`; rows
             sum to one. By default `switching` decides.
         base: registered name (or `package.module:Name`) of the filter in each mode.
-        process_noise_scales: factors on Q, one a mode.
+        process_noise_scales: factors on Q, one a mode; default 1 and 100, with `models` all 1.
         switching: probability of leaving a mode at a prediction, the others being equally likely.
         settings: settings of the base filter.
     """
@@ -62,7 +64,7 @@ class IMM:
     models: Sequence[Model] | None = None
     transition: Sequence[Sequence[float]] | Array | None = None
     base: str = "ekf"
-    process_noise_scales: Sequence[float] = (1.0, 100.0)
+    process_noise_scales: Sequence[float] | None = None
     switching: float = 0.05
     settings: Mapping[str, Any] = field(default_factory=dict)
     _filters: tuple[Estimator, ...] = field(init=False, repr=False)
@@ -70,24 +72,10 @@ class IMM:
 
     def __post_init__(self) -> None:
         in_range(self, "switching", 0.0, 1.0)
-        models = self.models
-        if models is None:
-            scales = np.atleast_1d(np.asarray(self.process_noise_scales))
-            if scales.ndim != 1 or scales.dtype.kind not in "fi" or not (scales > 0).all():
-                raise EstimatorError(
-                    f"IMM: process_noise_scales is {self.process_noise_scales!r}; use a list of "
-                    "positive numbers, one a mode"
-                )
-            models = [ScaledNoise(self.model, float(scale)) for scale in scales]
-        names = self.model.space.names
-        if not models or any(m.space.names != names for m in models):
-            raise EstimatorError(
-                f"IMM: models is a list of {len(models)}; use at least one, all of them with the "
-                f"state coordinates {', '.join(names)}"
-            )
-        filters = tuple(registry.create(self.base, self.settings, m) for m in models)
+        table(self, "settings")
+        filters = tuple(registry.create(self.base, self.settings, m) for m in self._modes())
         object.__setattr__(self, "_filters", filters)
-        object.__setattr__(self, "_chain", self._markov_chain(len(models)))
+        object.__setattr__(self, "_chain", self._markov_chain(len(filters)))
 
     def init(self, mean: Array, cov: Array) -> Modes:
         """Every mode starts from mean `(run, nx)` and cov `(run, n, n)`, all equally likely."""
@@ -173,11 +161,43 @@ class IMM:
         probability = np.where(code[:, None] > 0, np.nan, probability / scale)
         return replace(belief, probability=probability, fault=code)
 
+    def _modes(self) -> list[Model]:
+        """The model of each mode."""
+        given, models = self.process_noise_scales, self.models
+        if models is not None:
+            self._check_spaces(models)
+        if given is None:
+            given = (1.0, 100.0) if models is None else (1.0,) * len(models)
+        scales = np.atleast_1d(np.asarray(given))
+        models = [self.model] * scales.size if models is None else models
+        numbers = scales.shape == (len(models),) and scales.size > 0 and scales.dtype.kind in "fi"
+        if not numbers or not ((scales > 0) & np.isfinite(scales)).all():
+            raise EstimatorError(
+                f"IMM: process_noise_scales is {given!r}; use a list of positive numbers, one a "
+                "mode"
+            )
+        return [m if q == 1.0 else ScaledNoise(m, float(q)) for m, q in zip(models, scales)]
+
+    def _check_spaces(self, models: Sequence[Model]) -> None:
+        known = self.model.space.names
+        listed = isinstance(models, Sequence) and len(models) > 0
+        if not (listed and all(isinstance(m, Model) and m.space.names == known for m in models)):
+            what = f"a list of {len(models)}" if isinstance(models, Sequence) else repr(models)
+            raise EstimatorError(
+                f"IMM: models is {what}; use at least one model, all of them with the state "
+                f"coordinates {', '.join(known)}"
+            )
+
     def _markov_chain(self, count: int) -> Array:
         if self.transition is None:
             leave = self.switching / (count - 1) if count > 1 else 0.0
             return np.full((count, count), leave) + (1.0 - leave * count) * np.eye(count)
-        chain = np.asarray(self.transition, dtype=np.float64)
+        try:
+            chain = np.asarray(self.transition, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise EstimatorError(
+                f"IMM: transition is {self.transition!r}; use rows of numbers, one row a mode"
+            ) from None
         if chain.shape != (count, count):
             raise DimensionError(
                 f"IMM: transition has shape {chain.shape}; use {(count, count)}, one row a mode"

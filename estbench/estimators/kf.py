@@ -40,7 +40,7 @@ class FixedBelief(Gaussian):
 
 @dataclass(frozen=True)
 class KF(GaussianEstimator):
-    """Textbook Kalman filter with feedthrough; exact for `LinearModel`.
+    """Kalman filter with feedthrough about one operating point; exact for a linear model.
 
     x̂⁻ = f(x₀, u) ⊞ F (x̂⁺ ⊖ x₀) and ŷ = h(x₀, u) ⊞ H (x̂⁻ ⊖ x₀), with F and H taken once at the
     operating point x₀, u₀. For a linear model these are A x̂ + B u and C x̂ + D u, A and C constant

@@ -30,7 +30,7 @@ class NominalBelief(Gaussian):
 
 @dataclass(frozen=True)
 class LKF(GaussianEstimator):
-    """Estimates the deviation from a nominal trajectory, and hands over to the EKF if asked.
+    """Linearized KF: the deviation from a nominal trajectory; hands over to the EKF if asked.
 
     The nominal x* starts at the initial mean and follows the model under the same controls without
     noise. Both mean and covariance use the linearization about it (source 002, "linearized KF"):

@@ -27,7 +27,7 @@ class Particles(Ensemble):
 
 @dataclass(frozen=True)
 class ParticleFilter:
-    """Any belief at all, by particles moved by the model and weighted by the likelihood.
+    """Bootstrap particle filter: any belief, by points moved by the model, weighted by likelihood.
 
     Cost per step: `size` transitions and `size` measurements. Choose it where the belief has
     several peaks or hard limits; the count needed grows exponentially with the dimension that the

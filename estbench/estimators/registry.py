@@ -96,6 +96,10 @@ def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
     """
     arguments = dict(settings)
     name = arguments.pop("type", label)
+    if not isinstance(name, str):
+        raise EstimatorError(
+            f"estimator {name!r} is no name; use one of `estbench list` or package.module:Name"
+        )
     cls = resolve(name)
     parameters = inspect.signature(cls).parameters
     accepted = [p for p in parameters if p not in ("model", "self")]

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobustEKF(EKF):
-    """The EKF with a measurement update that an outlier moves little or not at all.
+    """Robust EKF: an outlier moves its update little or not at all (gates, Huber, Student-t).
 
     Cost per step: the EKF's evaluations; the iterations are small matrices only. Choose it where
     sensors glitch. Gates are for gross errors, but a filter that has diverged gates everything out;

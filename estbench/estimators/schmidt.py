@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estbench.estimators.base import Gaussian, Innovation, correct, settle
 from estbench.estimators.ekf import EKF
-from estbench.estimators.settings import one_of
+from estbench.estimators.settings import names, one_of
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels
 from estbench.naming import expand
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SchmidtEKF(EKF):
-    """The EKF with a gain of zero for the considered coordinates: uncertain, but not estimated.
+    """Schmidt-Kalman EKF: considered coordinates are uncertain, but not estimated (gain zero).
 
     The optimal gain K = P⁻ Hᵀ S⁻¹ keeps its rows for the estimated coordinates only; the covariance
     is Joseph's with that gain, which holds for any gain, so the considered coordinates keep their
@@ -43,6 +43,7 @@ class SchmidtEKF(EKF):
     def __post_init__(self) -> None:
         super().__post_init__()
         one_of(self, "covariance_update", ("joseph",))
+        names(self, "considered")
         patterns = dict.fromkeys(self.considered, 0.0)
         what = f"{type(self).__name__}: considered"
         estimated = expand(patterns, self.model.space.names, what, default=1.0)

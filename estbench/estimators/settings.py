@@ -1,19 +1,18 @@
 """Checks of settings; an error names the estimator, the setting, the value and the remedy."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
+
+import numpy as np
 
 from estbench.errors import EstimatorError
 
 
 def one_of(estimator: Any, setting: str, allowed: Sequence[str]) -> None:
     """Raise unless the setting is one of the allowed words."""
-    value = getattr(estimator, setting)
-    if value not in allowed:
-        raise EstimatorError(
-            f"{type(estimator).__name__}: {setting} is {value!r}; use one of {', '.join(allowed)}"
-        )
+    if getattr(estimator, setting) not in allowed:
+        raise _refusal(estimator, setting, f"one of {', '.join(allowed)}")
 
 
 def in_range(
@@ -26,29 +25,56 @@ def in_range(
 ) -> None:
     """Raise unless the setting is a number in [low, high], or in (low, high] if `low_open`."""
     value = getattr(estimator, setting)
-    number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+    real = isinstance(value, int | float | np.integer | np.floating)
+    number = real and not isinstance(value, bool) and isfinite(value)
     inside = number and (low < value <= high if low_open else low <= value <= high)
     if not inside:
         bracket = "(" if low_open else "["
-        raise EstimatorError(
-            f"{type(estimator).__name__}: {setting} is {value!r}; use a number in "
-            f"{bracket}{low:g}, {high:g}]"
-        )
+        raise _refusal(estimator, setting, f"a number in {bracket}{low:g}, {high:g}]")
+
+
+def whole(estimator: Any, setting: str, low: int, high: float = float("inf")) -> None:
+    """Raise unless the setting is an integer of at least `low` and at most `high`."""
+    value = getattr(estimator, setting)
+    integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not (integer and low <= value <= high):
+        most = "" if high == float("inf") else f" and at most {high}"
+        raise _refusal(estimator, setting, f"an integer of at least {low}{most}")
 
 
 def switch(estimator: Any, setting: str) -> None:
     """Raise unless the setting is true or false."""
+    if not isinstance(getattr(estimator, setting), bool):
+        raise _refusal(estimator, setting, "true or false")
+
+
+def names(estimator: Any, setting: str) -> None:
+    """Raise unless the setting is a list of words."""
     value = getattr(estimator, setting)
-    if not isinstance(value, bool):
+    listed = isinstance(value, Sequence) and not isinstance(value, str)
+    if not (listed and all(isinstance(item, str) for item in value)):
+        raise _refusal(estimator, setting, "a list of names or patterns")
+
+
+def table(estimator: Any, setting: str) -> None:
+    """Raise unless the setting is a table."""
+    if not isinstance(getattr(estimator, setting), Mapping):
+        raise _refusal(estimator, setting, "a table of settings")
+
+
+def scaled_rule(estimator: Any) -> None:
+    """Raise unless `alpha`, `beta` and `kappa` make a scaled unscented rule on `model`'s state."""
+    in_range(estimator, "alpha", 0.0, 1.0, low_open=True)
+    in_range(estimator, "beta", 0.0)
+    in_range(estimator, "kappa")
+    n = estimator.model.space.n
+    if not n + estimator.kappa > 0:
         raise EstimatorError(
-            f"{type(estimator).__name__}: {setting} is {value!r}; use true or false"
+            f"{type(estimator).__name__}: kappa is {estimator.kappa!r}; n + kappa must be "
+            f"positive, so use a value above {-n}"
         )
 
 
-def whole(estimator: Any, setting: str, low: int) -> None:
-    """Raise unless the setting is an integer of at least `low`."""
+def _refusal(estimator: Any, setting: str, remedy: str) -> EstimatorError:
     value = getattr(estimator, setting)
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
-        raise EstimatorError(
-            f"{type(estimator).__name__}: {setting} is {value!r}; use an integer of at least {low}"
-        )
+    return EstimatorError(f"{type(estimator).__name__}: {setting} is {value!r}; use {remedy}")

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SquareRootEKF(FactorEstimator):
-    """The EKF with a triangular factor in place of P: P = L Lᵀ cannot lose its definiteness.
+    """Square-root EKF: a triangular factor L in place of P = L Lᵀ, which stays definite.
 
     Both steps triangularize an array by QR; P and S are never formed, so the factor keeps twice
     the digits. It equals the EKF up to rounding.

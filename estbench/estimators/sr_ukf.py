@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import EstimatorError
 from estbench.estimators.base import Fault, Innovation
 from estbench.estimators.factors import (
     FactorBelief,
@@ -19,7 +18,7 @@ from estbench.estimators.factors import (
     psd_root,
     triangular,
 )
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.linalg import solve_lower
 from estbench.models.base import Channels, Model
@@ -29,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SquareRootUKF(FactorEstimator):
-    """The UKF with a triangular factor in place of P; points are redrawn before the update.
+    """Square-root UKF: a triangular factor in place of P; points are redrawn before the update.
 
     The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the equally weighted residuals and Q^½, then a
     rank-one update with the centre's residual, whose weight may be negative. The measurement takes
@@ -51,16 +50,9 @@ class SquareRootUKF(FactorEstimator):
     rule: SigmaPoints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        in_range(self, "alpha", 0.0, 1.0, low_open=True)
-        in_range(self, "beta", 0.0)
-        in_range(self, "kappa")
-        n = self.model.space.n
-        if not n + self.kappa > 0:
-            raise EstimatorError(
-                f"SquareRootUKF: kappa is {self.kappa!r}; n + kappa must be positive, so use a "
-                f"value above {-n}"
-            )
-        object.__setattr__(self, "rule", scaled(n, self.alpha, self.beta, self.kappa))
+        scaled_rule(self)
+        rule = scaled(self.model.space.n, self.alpha, self.beta, self.kappa)
+        object.__setattr__(self, "rule", rule)
 
     def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
         """x̂⁻ and L⁻ from the propagated points, time update of algorithm 3.1."""

@@ -165,9 +165,14 @@ class ContinuousFunctionModel:
     _parts: FunctionModel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.substeps < 1:
+        if not isinstance(self.substeps, int) or self.substeps < 1:
             raise DimensionError(f"substeps is {self.substeps}; use a whole number of at least 1")
         density = _at(self.Q_s, 0.0)
+        if density.ndim != 2 or density.shape[0] != density.shape[1]:
+            raise DimensionError(
+                f"Q_s has shape {density.shape}; expected a square matrix, 0.1 * np.eye(1) for one "
+                "number"
+            )
         if self.G is not None:
             G = _at(self.G, 0.0)
             if G.shape[:-1] != density.shape[:-1] or self.n_controls not in (0, G.shape[-1]):
@@ -246,4 +251,4 @@ class ContinuousFunctionModel:
 
 def _at(matrix: Matrix, t: float) -> Array:
     """The matrix at time t."""
-    return matrix(t) if callable(matrix) else matrix
+    return np.asarray(matrix(t) if callable(matrix) else matrix, np.float64)

@@ -14,6 +14,7 @@ from estbench.models.differences import Differences
 
 Array = NDArray[np.float64]
 Function = Callable[..., Array]
+Matrix = Array | Function
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +24,12 @@ class FunctionModel:
     Attributes:
         f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`.
         h: measurement; takes x `(..., n)`, u `(..., nu)` and t, returns `(..., m)`.
-        Q: covariance of w in one step `(n, n)`, or `(k, k)` with Ω.
-        R: measurement noise covariance `(m, m)`.
+        Q: covariance of w in one step `(n, n)`, or `(k, k)` with Ω; or a function of t and dt.
+        R: measurement noise covariance `(m, m)`, or a function of t.
         n_controls: count of controls.
         f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if absent.
-        batched: whether f, h and their Jacobians take leading axes; if not they are looped over.
+        batched: whether f, h and their Jacobians take leading axes; if not they are looped over,
+            and may return a plain number where the result has one component.
         differences: scheme and step of the difference Jacobians.
         names, units: of the state's coordinates.
         noise_gain: Ω `(n, k)`, or a function of x, u, t and dt that returns ∂x⁺/∂w `(..., n, k)`;
@@ -35,14 +37,14 @@ class FunctionModel:
         n_states: n, where Ω is a function.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite.
+        CovarianceError: R is not symmetric positive definite, a function's at t = 0.
         DimensionError: at a call, a function returns another shape than expected.
     """
 
     f: Function
     h: Function
-    Q: Array
-    R: Array
+    Q: Matrix
+    R: Matrix
     n_controls: int = 0
     f_jacobian: Function | None = None
     h_jacobian: Function | None = None
@@ -54,9 +56,17 @@ class FunctionModel:
     n_states: int = 0
     space: Manifold = field(init=False, repr=False)
     _output: Manifold = field(init=False, repr=False)
+    _noises: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not is_positive_definite(self.R):
+        Q, R = _at(self.Q, 0.0, 1.0), _at(self.R, 0.0)
+        for name, matrix in (("Q", Q), ("R", R)):
+            if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+                raise DimensionError(
+                    f"{name} has shape {matrix.shape}; expected a square matrix, 0.1 * np.eye(1) "
+                    "for one number"
+                )
+        if not is_positive_definite(R):
             raise CovarianceError("R is not symmetric positive definite; raise its eigenvalues")
         gain = self.noise_gain
         if callable(gain) and self.n_states < 1:
@@ -64,15 +74,16 @@ class FunctionModel:
                 f"n_states is {self.n_states}; give the count of states where noise_gain is a "
                 "function"
             )
-        if gain is not None and not callable(gain) and gain.shape[-1:] != self.Q.shape[-1:]:
+        if gain is not None and not callable(gain) and gain.shape[-1:] != Q.shape[-1:]:
             raise DimensionError(
-                f"noise_gain has shape {gain.shape}; expected (n, {self.Q.shape[-1]}) to fit Q"
+                f"noise_gain has shape {gain.shape}; expected (n, {len(Q)}) to fit Q"
             )
-        n = self.n_states or (self.Q if gain is None or callable(gain) else gain).shape[-2]
+        n = self.n_states or (Q if gain is None or callable(gain) else gain).shape[-2]
         space = Manifold.euclidean(n, self.names, self.units)
-        names = tuple(f"y{i}" for i in range(self.R.shape[-1]))
+        names = tuple(f"y{i}" for i in range(len(R)))
         object.__setattr__(self, "space", space)
         object.__setattr__(self, "_output", Manifold.euclidean(len(names), names))
+        object.__setattr__(self, "_noises", len(Q))
 
     @property
     def nu(self) -> int:
@@ -101,13 +112,16 @@ class FunctionModel:
 
     def process_noise(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
         """Q, or Ω Q Ωᵀ."""
-        gain = self.noise_gain
+        gain, Q = self.noise_gain, _at(self.Q, t, dt)
+        if Q.shape != (self._noises, self._noises):
+            raise DimensionError(
+                f"Q returned shape {Q.shape}; expected {(self._noises, self._noises)}"
+            )
         if gain is None:
-            return self.Q
+            return Q
         if callable(gain):
-            shape = (self.space.n, self.Q.shape[-1])
-            gain = self._call("noise_gain", gain, shape, x, u, t, dt)
-        return gain @ self.Q @ gain.mT
+            gain = self._call("noise_gain", gain, (self.space.n, len(Q)), x, u, t, dt)
+        return gain @ Q @ gain.mT
 
     def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
         """h(x, u, t)."""
@@ -127,7 +141,10 @@ class FunctionModel:
 
     def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
         """R."""
-        return self.R
+        R, m = _at(self.R, t), self._output.n
+        if R.shape != (m, m):
+            raise DimensionError(f"R returned shape {R.shape}; expected {(m, m)}")
+        return R
 
     def _call(
         self,
@@ -150,10 +167,16 @@ class FunctionModel:
             states = x.reshape(-1, x.shape[-1])
             rows = zip(states, u.reshape(len(states), u.shape[-1]), strict=True)
             out = np.array([np.asarray(function(a, b, *time), dtype=np.float64) for a, b in rows])
-            out = out.reshape(*lead, *out.shape[1:])
+            one = out.ndim == 1 and np.prod(shape) == 1  # a plain number for each state
+            out = out.reshape(*lead, *(shape if one else out.shape[1:]))
         if out.shape != (*lead, *shape):
             raise DimensionError(
                 f"{name} returned shape {out.shape}; expected {(*lead, *shape)} for x of shape "
                 f"{x.shape} (a function written for one state needs batched=False)"
             )
         return out
+
+
+def _at(matrix: Matrix, *time: float) -> Array:
+    """The matrix at that time."""
+    return np.asarray(matrix(*time) if callable(matrix) else matrix, dtype=np.float64)

@@ -129,10 +129,8 @@ def compile_model(
         model.opt.timestep = timestep
     if integrator is not None:
         model.opt.integrator = INTEGRATORS[integrator]
-    for key, value in (settings or {}).items():
-        assign(model, key, value, f"{where}.set")
     if settings:
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        model = changed(model, settings, f"{where}.set")
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= (
         flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
@@ -221,6 +219,17 @@ _N = {"body": "body", "geom": "geom", "actuator": "u", "tendon": "tendon", "site
       "jnt": "jnt", "dof": "jnt"}  # fmt: skip
 
 
+def changed(
+    model: mujoco.MjModel, settings: Mapping[str, float | Sequence[float]], where: str
+) -> mujoco.MjModel:
+    """A copy of a compiled model with `field.object` -> value set and what follows from it."""
+    model = copy.copy(model)
+    for key, value in settings.items():
+        assign(model, key, value, where)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
 def assign(
     model: mujoco.MjModel, key: str, value: float | Sequence[float], where: str = "set"
 ) -> None:
@@ -229,9 +238,10 @@ def assign(
     target = getattr(model, field)
     try:
         target[rows] = value
-    except ValueError:
+    except (TypeError, ValueError):
+        got = repr(value) if isinstance(value, str) else np.size(value)
         raise ScenarioError(
-            f"{where}: '{key}' takes {np.size(target[rows])} numbers, got {np.size(value)}"
+            f"{where}: '{key}' takes {np.size(target[rows])} numbers, got {got}"
         ) from None
 
 

@@ -5,7 +5,7 @@ y = h(x, u + E d) ⊞ (C b) ⊞ v, where b and d are constants, random walks or 
 processes (Gelb 1974, ch. 3).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,6 +78,22 @@ class ScaledNoise:
     def measurement_noise(self, t: float, channels: Channels = None) -> Array:
         """R r."""
         return self.r * self.model.measurement_noise(t, channels)
+
+    @property
+    def flow(self) -> Callable[..., Array] | None:
+        """The model's own ẋ, if it has one."""
+        return getattr(self.model, "flow", None)
+
+    @property
+    def flow_jacobian(self) -> Callable[..., tuple[Array, Array]] | None:
+        """The model's own ẋ and ∂ẋ/∂x, if it has them."""
+        return getattr(self.model, "flow_jacobian", None)
+
+    @property
+    def spectral_density(self) -> Callable[..., Array] | None:
+        """Q_s q, if the model has one."""
+        own = getattr(self.model, "spectral_density", None)
+        return own and (lambda *arguments: self.q * own(*arguments))
 
 
 @dataclass(frozen=True)

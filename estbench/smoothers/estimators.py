@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Gaussian, Innovation, Passage
-from estbench.estimators.settings import in_range, whole
+from estbench.estimators.settings import in_range, table, whole
 from estbench.models.base import Channels, Model
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
@@ -39,7 +39,8 @@ class FilterThenSmooth:
     _filter: Estimator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.base not in self.bases and ":" not in self.base:
+        table(self, "settings")
+        if self.base not in self.bases and ":" not in str(self.base):
             raise EstimatorError(
                 f"{type(self).__name__}: base is {self.base!r}; use one of "
                 f"{', '.join(self.bases)}, or your own as package.module:Name"
@@ -81,7 +82,9 @@ class FilterThenSmooth:
 
 @dataclass(frozen=True)
 class RTS(FilterThenSmooth):
-    """Rauch-Tung-Striebel smoother after a linear or extended filter (see `smoothers.rts.rts`).
+    """Rauch-Tung-Striebel smoother after a linear or extended filter.
+
+    See `estbench.smoothers.rts.rts`.
 
     Cost per step: the filter's, and n + 1 transitions and one Q with forward differences. Choose it
     to see what a run's data are worth when all of them may be used.
@@ -97,7 +100,9 @@ class RTS(FilterThenSmooth):
 
 @dataclass(frozen=True)
 class URTS(FilterThenSmooth):
-    """Unscented RTS smoother after a sigma-point filter, by its own points (`smoothers.urts.urts`).
+    """Unscented RTS smoother after a sigma-point filter, by its own points.
+
+    See `estbench.smoothers.urts.urts`.
 
     Cost per step: the filter's, and one transition a sigma point (2 n + 1) and one Q. Choose it
     where you would choose the UKF.
@@ -115,7 +120,7 @@ class URTS(FilterThenSmooth):
 
 @dataclass(frozen=True)
 class MAP(FilterThenSmooth):
-    """Most probable trajectory of the run or of windows of it, by Gauss-Newton (`smoothers.map`).
+    """Maximum a posteriori smoother: the most probable trajectory of the run or of windows of it.
 
     Each window starts from the filter's posterior and is fitted to its own measurements, so that a
     window of one step is an iterated filter and one of the whole run the batch solution.

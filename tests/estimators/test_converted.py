@@ -1,10 +1,18 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from estbench.errors import EstimatorError
 from estbench.estimators.base import Fault
-from estbench.estimators.converted import FORMS, ConvertedEKF, convert_range_bearing
+from estbench.estimators.converted import (
+    FORMS,
+    ConvertedEKF,
+    convert_range_bearing,
+    predicted_noise,
+)
 from estbench.estimators.ekf import EKF
+from estbench.linalg import quadratic_form
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
 from tests.helpers import random_cov
@@ -90,6 +98,42 @@ def test_small_noise_gives_the_linearized_covariance(form):
     np.testing.assert_allclose(R / scale, linearized / scale, atol=1e-6)
 
 
+@pytest.mark.parametrize("std_range", [0.0, 2.0])
+def test_decorrelated_noise_is_the_covariance_over_the_prior_and_the_noise(std_range):
+    """By quadrature over position, range and bearing; exact without noise of the range."""
+    position, cov, std_bearing = np.array([40.0, 30.0]), np.array([[9.0, 4.0], [4.0, 16.0]]), 0.2
+    nodes, weights = np.polynomial.hermite_e.hermegauss(20)
+    grid = np.array(np.meshgrid(*[nodes] * 4)).reshape(4, -1)
+    weights = np.prod(np.meshgrid(*[weights / weights.sum()] * 4), axis=0).ravel()
+    p = position + (np.linalg.cholesky(cov) @ grid[:2]).T
+    r, theta = np.hypot(*p.T) + std_range * grid[2], np.arctan2(*p.T[::-1]) + std_bearing * grid[3]
+    z, _ = convert_range_bearing(r, theta, std_range, std_bearing, "decorrelated")
+    error = (z - p) * np.sqrt(weights)[:, None]
+    R = predicted_noise(position, cov, std_range, std_bearing)
+    np.testing.assert_allclose(R, error.T @ error, rtol=1e-10 if std_range == 0 else 1e-3)
+    # Uncorrelated with the position, so that the Kalman update is the best linear one.
+    cross = (weights[:, None] * (z - p)).T @ (p - position)
+    np.testing.assert_allclose(cross, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_over_many_readings_only_the_decorrelated_form_stays_consistent(form):
+    """A target at rest 1 km away, with a wide prior, whose bearing is seen to 0.2 rad."""
+    model, runs, rng = radar(20.0, 0.2), 400, np.random.default_rng(3)
+    model = replace(model, f=lambda x, u, t, dt: x, Q=1e-6 * np.eye(4))
+    mean, P = np.array([900.0, 400.0, 0.0, 0.0]), np.diag([200.0, 200.0, 1.0, 1.0]) ** 2
+    truth = mean + rng.standard_normal((runs, 4)) @ np.sqrt(P)
+    filter, u = converted(model, form=form), np.empty((runs, 0))
+    belief = filter.init(np.tile(mean, (runs, 1)), np.tile(P, (runs, 1, 1)))
+    for k in range(30):
+        noise = rng.standard_normal((runs, 3)) * np.sqrt(np.diag(model.R))
+        y = model.measurement(truth, u, 0.0) + noise
+        belief, _ = filter.update(filter.predict(belief, u, k, DT), y, u, k)
+    nees = quadratic_form(belief.cov[:, :2, :2], truth[:, :2] - belief.mean[:, :2]) / 2
+    band = 4 * nees.std() / np.sqrt(runs)  # a false alarm in 6e-5 of the seeds
+    assert (abs(nees.mean() - 1) < band) == (form == "decorrelated")
+
+
 def test_far_target_with_coarse_bearing_is_unbiased_where_the_standard_form_is_not():
     rng, count = np.random.default_rng(0), 200_000
     r, theta, std_range, std_bearing = 100.0, 0.5, 1.0, 0.2
@@ -127,14 +171,16 @@ def test_update_is_the_kalman_update_of_the_converted_measurement(form):
     filter = converted(model, form=form)
     posterior, innovation = filter.update(filter.init(mean, cov), y, u, 0.0)
     z, R = convert_range_bearing(y[:, 0], y[:, 1], 1.0, 0.1, form)
+    if form == "decorrelated":
+        R = predicted_noise(mean[:, :2] - STATION, cov[:, :2, :2], 1.0, 0.1)
     full = np.zeros((3, 3, 3))
     full[:, :2, :2], full[:, 2, 2] = R, 4.0
     linear = LinearModel(A, np.eye(4)[:3], model.Q, full)
     reference = EKF(linear)
     data = np.concatenate([z + STATION, y[:, 2:]], axis=-1)
     expected, other = reference.update(reference.init(mean, cov), data, u, 0.0)
-    np.testing.assert_allclose(posterior.mean, expected.mean, atol=1e-10)
-    np.testing.assert_allclose(posterior.cov, expected.cov, atol=1e-10)
+    np.testing.assert_allclose(posterior.mean, expected.mean, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(posterior.cov, expected.cov, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(innovation.nis, other.nis)
 
 
@@ -146,8 +192,8 @@ def test_one_of_the_two_alone_is_the_ekf_and_nothing_changes_nothing():
     posterior, innovation = filter.update(belief, seen, u, 0.0, mask=mask)
     expected, _ = ekf.update(belief, seen, u, 0.0, mask=mask)
     full, _ = filter.update(belief, y, u, 0.0)
-    np.testing.assert_allclose(posterior.mean[:3], expected.mean[:3], atol=1e-12)
-    np.testing.assert_allclose(posterior.cov[:3], expected.cov[:3], atol=1e-12)
+    np.testing.assert_allclose(posterior.mean[:3], expected.mean[:3], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(posterior.cov[:3], expected.cov[:3], rtol=1e-10, atol=1e-12)
     np.testing.assert_array_equal(posterior.mean[2], mean[2])
     np.testing.assert_array_equal(posterior.mean[3], full.mean[3])
     assert np.abs(full.mean[3] - expected.mean[3]).max() > 1e-3
@@ -176,8 +222,8 @@ def test_without_names_it_is_the_ekf_and_a_failed_run_stands_alone():
             {"range": "y0", "bearing": "y1", "position": ("x", "z")},
             "ConvertedEKF: position is 'z'; there is none",
         ),
-        ({"origin": (0.0,)}, "ConvertedEKF: .* give two coordinates each"),
-        ({"form": "biased"}, "ConvertedEKF: form is 'biased'; use one of multiplicative, additive"),
+        ({"origin": (0.0,)}, "ConvertedEKF: .* give two names and two numbers"),
+        ({"form": "biased"}, "ConvertedEKF: form is 'biased'; use one of decorrelated, multipl"),
     ],
 )
 def test_wrong_settings_say_so(settings, words):

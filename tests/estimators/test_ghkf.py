@@ -46,8 +46,8 @@ def test_equals_the_textbook(seed, n, order):
     belief, _ = estimator.update(belief, y, u, 0.1)
     for run in range(2):
         x, P = textbook_ghkf(model, mean[run], cov[run], y[run], u[run], 0.1, order)
-        np.testing.assert_allclose(belief.mean[run], x, atol=1e-10)
-        np.testing.assert_allclose(belief.cov[run], P, atol=1e-10)
+        np.testing.assert_allclose(belief.mean[run], x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(belief.cov[run], P, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -72,8 +72,8 @@ def test_order_three_in_one_dimension_is_the_unscented_rule_with_kappa_two():
         belief = estimator.init(np.array([[0.7]]), np.eye(1)[None])
         belief = estimator.predict(belief, u, 0.0, 1.0)
         results.append(estimator.update(belief, y, u, 1.0)[0])
-    np.testing.assert_allclose(results[0].mean, results[1].mean, atol=1e-12)
-    np.testing.assert_allclose(results[0].cov, results[1].cov, atol=1e-12)
+    np.testing.assert_allclose(results[0].mean, results[1].mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(results[0].cov, results[1].cov, rtol=1e-10, atol=1e-12)
 
 
 def test_a_redraw_that_is_no_switch_is_refused():

@@ -38,8 +38,8 @@ def test_equals_the_textbook(seed, n, iterations):
     belief, _ = estimator.update(estimator.init(mean, cov), y, u, 0.0)
     for run in range(4):
         x, P = textbook_iekf(model, mean[run], cov[run], y[run], u[run], iterations)
-        np.testing.assert_allclose(belief.mean[run], x, atol=1e-10)
-        np.testing.assert_allclose(belief.cov[run], P, atol=1e-10)
+        np.testing.assert_allclose(belief.mean[run], x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(belief.cov[run], P, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("form", ["joseph", "simplified", "symmetric"])
@@ -47,7 +47,7 @@ def test_every_covariance_form_agrees(form):
     model, mean, cov, u, y = problem(0, 4)
     estimators = IEKF(model, form), IEKF(model)
     a, b = (e.update(e.init(mean, cov), y, u, 0.0)[0].cov for e in estimators)
-    np.testing.assert_allclose(a, b, atol=1e-12)
+    np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12)
 
 
 def test_one_iteration_is_the_ekf_and_the_innovation_is_always_the_ekfs():

@@ -1,13 +1,17 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from estbench.errors import DimensionError, EstimatorError
+from estbench import experiment, setup
+from estbench.errors import DimensionError, EstimatorError, ScenarioError
 from estbench.estimators.base import Fault
+from estbench.estimators.cd_ekf import ContinuousDiscreteEKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.imm import IMM, combine
 from estbench.estimators.ukf import UKF
+from estbench.models.continuous import ContinuousFunctionModel
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
 from tests.estimators.test_enkf import start
@@ -55,9 +59,9 @@ def test_equals_the_textbook(seed):
             means, covs, mu = state[i]
             *modes, m, P = textbook(means, covs, mu, models, u[i], y[i])
             state[i] = modes
-            np.testing.assert_allclose(belief.probability[i], state[i][2], atol=1e-10)
-            np.testing.assert_allclose(imm.mean(belief)[i], m, atol=1e-10)
-            np.testing.assert_allclose(imm.cov(belief)[i], P, atol=1e-10)
+            np.testing.assert_allclose(belief.probability[i], state[i][2], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(imm.mean(belief)[i], m, rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(imm.cov(belief)[i], P, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("scales", [[1.0], [1.0, 1.0, 1.0]])
@@ -74,11 +78,29 @@ def test_equal_modes_are_the_base_filter(scales, base):
         y = model.measurement(mean, u, 0.0) + 0.1 * k
         a, b = imm.predict(a, u, k, 0.05), filter.predict(b, u, k, 0.05)
         (a, one), (b, other) = imm.update(a, y, u, k), filter.update(b, y, u, k)
-        np.testing.assert_allclose(one.nis, other.nis, atol=1e-10)
-        np.testing.assert_allclose(one.white, other.white, atol=1e-10)
-    np.testing.assert_allclose(imm.mean(a), b.mean, atol=1e-10)
-    np.testing.assert_allclose(imm.cov(a), b.cov, atol=1e-10)
+        np.testing.assert_allclose(one.nis, other.nis, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(one.white, other.white, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(imm.mean(a), b.mean, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(imm.cov(a), b.cov, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(a.probability, 1 / len(scales))
+
+
+def test_the_base_may_be_the_continuous_discrete_filter():
+    """With Q_s scaled; both modes alike are that filter."""
+    model = ContinuousFunctionModel(
+        lambda x, u, t: -np.sin(x), lambda x, u, t: x[..., :1], 0.1 * np.eye(2), np.eye(1)
+    )
+    mean, cov, u = start(model, 3)
+    imm = IMM(model, base="cd_ekf", process_noise_scales=[4.0, 4.0])
+    one = ContinuousDiscreteEKF(replace(model, Q_s=0.4 * np.eye(2)))
+    (a, _), (b, _) = (
+        f.update(f.predict(f.init(mean, cov), u, 0.0, 0.3), np.ones((3, 1)), u, 0.3)
+        for f in (imm, one)
+    )
+    np.testing.assert_allclose(imm.mean(a), b.mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(imm.cov(a), b.cov, rtol=1e-10, atol=1e-12)
+    with pytest.raises(EstimatorError, match="LinearModel has no method 'flow'; use a cont"):
+        IMM(linear_model(0), base="cd_ekf")
 
 
 def test_a_manoeuvre_raises_the_probability_of_the_noisy_mode():
@@ -101,6 +123,40 @@ def test_a_manoeuvre_raises_the_probability_of_the_noisy_mode():
     assert np.mean(moving[10:]) > 0.75
 
 
+def test_models_may_have_their_process_noise_scaled_too():
+    models = (linear_model(0), linear_model(1))
+    mean, cov, u = start(models[0], 2)
+    scaled = [replace(m, Q=q * m.Q) for m, q in zip(models, (2.0, 5.0))]
+    a = IMM(models[0], models=models, process_noise_scales=[2.0, 5.0])
+    b = IMM(models[0], models=scaled)
+    one, other = (f.predict(f.init(mean, cov), u, 0.0, 1.0) for f in (a, b))
+    np.testing.assert_allclose(a.cov(one), b.cov(other), rtol=1e-10, atol=1e-14)
+
+
+def test_a_scenario_says_what_each_mode_changes_of_the_filters_model():
+    """The truth has ten times the damping; one mode knows, and is soon believed."""
+    results = experiment.run(
+        "pendulum", ["ekf", "imm"], runs=20, duration=2.0,
+        overrides=['truth.set={"dof_damping.hinge"=0.5}', "consistency.burn_in=0.5",
+                   'estimators.imm={models=[{}, {"dof_damping.hinge"=0.5}]}'],
+    )  # fmt: skip
+    for wrong, right in zip(results["ekf"].rmse, results["imm"].rmse):
+        assert right.value < 0.2 * wrong.value
+
+
+@pytest.mark.parametrize(
+    ("models", "message"),
+    [
+        ('[{"dof_damping.hing"=0.5}]', r"estimators.imm.models: 'dof_damping.hing': no dof 'hing'"),
+        ("[3]", "estimators.imm.models: 3 is no table; use one like that of filter.set"),
+    ],
+)
+def test_a_scenarios_mode_that_is_wrong(models, message):
+    resolved = experiment.resolve("pendulum", overrides=[f"estimators.imm={{models={models}}}"])
+    with pytest.raises(ScenarioError, match=message):
+        setup.build(resolved)
+
+
 def test_missing_component_is_out_exactly():
     model = linear_model(3)
     mean, cov, u = start(model, 3)
@@ -118,8 +174,10 @@ def test_missing_component_is_out_exactly():
     assert model.D is not None
     part = LinearModel(model.A, model.C[:1], model.Q, model.R[:1, :1], model.B, model.D[:1])
     first, other = IMM(part, process_noise_scales=[1, 10, 100]).update(belief, y[:, :1], u, 0.0)
-    np.testing.assert_allclose(posterior.probability[0], first.probability[0], atol=1e-12)
-    np.testing.assert_allclose(imm.cov(posterior)[0], imm.cov(first)[0], atol=1e-12)
+    np.testing.assert_allclose(
+        posterior.probability[0], first.probability[0], rtol=1e-10, atol=1e-12
+    )
+    np.testing.assert_allclose(imm.cov(posterior)[0], imm.cov(first)[0], rtol=1e-10, atol=1e-12)
     assert np.isclose(innovation.nis[0], other.nis[0])
 
 
@@ -173,7 +231,7 @@ def test_combine_on_a_curved_space_is_symmetric_and_exact_for_one_component():
     mean, cov = combine(model.space, means, covs, weight)
     swapped = combine(model.space, means[:, ::-1], covs[:, ::-1], weight[:, ::-1])
     assert np.abs(model.space.minus(mean, swapped[0])).max() < 1e-10
-    np.testing.assert_allclose(cov, swapped[1], atol=1e-10)
+    np.testing.assert_allclose(cov, swapped[1], rtol=1e-10, atol=1e-10)
     one = combine(
         model.space,
         means,
@@ -181,7 +239,7 @@ def test_combine_on_a_curved_space_is_symmetric_and_exact_for_one_component():
         np.tile([1.0, 0.0], (4, 1)),
     )
     assert np.abs(model.space.minus(one[0], means[:, 0])).max() < 1e-12
-    np.testing.assert_allclose(one[1], covs[:, 0], atol=1e-10)
+    np.testing.assert_allclose(one[1], covs[:, 0], rtol=1e-10, atol=1e-10)
 
 
 def test_quaternion_states():
@@ -203,12 +261,23 @@ def test_quaternion_states():
     [
         ({"switching": 2}, EstimatorError, "IMM: switching is 2"),
         ({"process_noise_scales": [1, -1]}, EstimatorError, "IMM: process_noise_scales is"),
-        ({"process_noise_scales": []}, EstimatorError, "IMM: models is a list of 0"),
+        (
+            {"process_noise_scales": []},
+            EstimatorError,
+            r"IMM: process_noise_scales is \[\]; use a list of positive",
+        ),
         ({"base": "ekff"}, EstimatorError, "no estimator 'ekff'"),
         ({"settings": {"alpha": 1}}, EstimatorError, "no setting 'alpha'"),
         ({"transition": [[1.0]]}, DimensionError, r"IMM: transition has shape \(1, 1\)"),
         ({"transition": [[1, 1], [0, 1]]}, EstimatorError, "IMM: transition is"),
         ({"models": [linear_model(0, n=2)]}, EstimatorError, "state coordinates x0, x1, x2"),
+        ({"models": []}, EstimatorError, "IMM: models is a list of 0; use at least one model"),
+        ({"models": 3}, EstimatorError, "IMM: models is 3; use at least one model"),
+        (
+            {"models": [linear_model(1)], "process_noise_scales": [1.0, 2.0]},
+            EstimatorError,
+            r"IMM: process_noise_scales is \[1.0, 2.0\]; use .* one a mode",
+        ),
     ],
 )
 def test_wrong_settings_say_so(settings, error, words):

@@ -32,7 +32,7 @@ def start(model, seed, runs=RUNS):
     return rng, rng.standard_normal((runs, n)), random_cov(rng, n, runs)
 
 
-def same(belief, other, filter, rows=slice(None), atol=1e-12):
+def same(belief, other, filter, rows=slice(None), rtol=1e-10, atol=1e-12):
     np.testing.assert_allclose(filter.mean(belief)[rows], filter.mean(other)[rows], atol=atol)
     np.testing.assert_allclose(filter.cov(belief)[rows], filter.cov(other)[rows], atol=atol)
 
@@ -55,11 +55,15 @@ def test_equals_the_kalman_filter(name, settings, size):
             S = model.C @ C @ model.C.T + model.R
             K = C @ model.C.T @ np.linalg.inv(S)
             books[i] = m + K @ nu, C - K @ S @ K.T
-            np.testing.assert_allclose(innovation.residual[i], nu, atol=1e-9)
-            np.testing.assert_allclose(innovation.cov[i], S, atol=1e-9)
+            np.testing.assert_allclose(innovation.residual[i], nu, rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(innovation.cov[i], S, rtol=1e-10, atol=1e-10)
             np.testing.assert_allclose(innovation.nis[i], nu @ np.linalg.inv(S) @ nu, rtol=1e-8)
-        np.testing.assert_allclose(filter.mean(belief), [m for m, _ in books], atol=1e-9)
-        np.testing.assert_allclose(filter.cov(belief), [C for _, C in books], atol=1e-9)
+        np.testing.assert_allclose(
+            filter.mean(belief), [m for m, _ in books], rtol=1e-10, atol=1e-10
+        )
+        np.testing.assert_allclose(
+            filter.cov(belief), [C for _, C in books], rtol=1e-10, atol=1e-10
+        )
 
 
 def test_a_matrix_for_each_run():
@@ -77,8 +81,8 @@ def test_a_matrix_for_each_run():
             alone = registry.create(name, {}, model)
             belief = alone.predict(alone.init(x[row], P[row]), u[row], 0.0, 1.0)
             belief, _ = alone.update(belief, y[row], u[row], 1.0)
-            np.testing.assert_allclose(together.mean[row], belief.mean, atol=1e-12)
-            np.testing.assert_allclose(together.cov[row], belief.cov, atol=1e-12)
+            np.testing.assert_allclose(together.mean[row], belief.mean, rtol=1e-10, atol=1e-12)
+            np.testing.assert_allclose(together.cov[row], belief.cov, rtol=1e-10, atol=1e-12)
 
 
 def without(model, gone):
@@ -111,7 +115,7 @@ def test_a_masked_component_is_a_removed_one(name, settings, model):
         lesser = registry.create(name, settings, without(model, i))
         prior = lesser.predict(lesser.init(x, P), u, 0.0, 0.1)
         expected, other = lesser.update(prior, np.delete(y, i, axis=1), u, 0.1)
-        same(posterior, expected, filter, rows=[i], atol=1e-10)
+        same(posterior, expected, filter, rows=[i], rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(innovation.nis[i], other.nis[i], rtol=1e-9)
         np.testing.assert_array_equal(innovation.residual[i, i], 0.0)
         np.testing.assert_array_equal(innovation.white[i, i], 0.0)
@@ -126,7 +130,7 @@ def test_nothing_arrived_is_no_update(name, settings):
     posterior, innovation = filter.update(
         prior, np.full((RUNS, 3), np.nan), u, 0.0, None, np.zeros((RUNS, 3), bool)
     )
-    same(posterior, prior, filter, atol=1e-13)
+    same(posterior, prior, filter, rtol=1e-10, atol=1e-13)
     assert not innovation.nis.any()
     assert not innovation.dof.any()
 
@@ -144,7 +148,7 @@ def test_predict_and_update_leave_their_arguments_alone(name):
     first = filter.init(x, P)
     filter.update(filter.predict(first, u, 0.0, 0.1), y, u, 0.1, None, mask)
     for a, b in zip((*arrays, filter.mean(first), filter.cov(first)), (*copies, *copies[:2])):
-        np.testing.assert_allclose(a, b, atol=1e-14)
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-14)
 
 
 def steps(filter, x, P, y, u):
@@ -213,9 +217,13 @@ def test_constant_velocity_settles_at_alpha_and_beta(name):
         belief = filter.predict(belief, u, 0.0, 1.0)
         before = filter.mean(belief)
         belief, innovation = filter.update(belief, C @ before[0] + 1.0, u, 0.0)
-    np.testing.assert_allclose(filter.cov(belief)[0], [[0.75, 0.5], [0.5, 1.0]], atol=1e-9)
-    np.testing.assert_allclose((filter.mean(belief) - before)[0], [0.75, 0.5], atol=1e-9)
-    np.testing.assert_allclose(innovation.cov, [[[4.0]]], atol=1e-9)  # S = R/(1 - α)
+    np.testing.assert_allclose(
+        filter.cov(belief)[0], [[0.75, 0.5], [0.5, 1.0]], rtol=1e-10, atol=1e-10
+    )
+    np.testing.assert_allclose(
+        (filter.mean(belief) - before)[0], [0.75, 0.5], rtol=1e-10, atol=1e-10
+    )
+    np.testing.assert_allclose(innovation.cov, [[[4.0]]], rtol=1e-10, atol=1e-10)  # S = R/(1 - α)
 
 
 def test_marking_keeps_the_first_fault():

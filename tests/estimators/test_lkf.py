@@ -44,9 +44,9 @@ def test_equals_the_textbook(seed, n):
     belief = drive(LKF(model), mean, cov, ys, us)
     for run in range(3):
         nominal, dx, P = textbook_lkf(model, mean[run], cov[run], ys[:, run], us[:, run], 0.1)
-        np.testing.assert_allclose(belief.nominal[run], nominal, atol=1e-10)
-        np.testing.assert_allclose(belief.mean[run], nominal + dx, atol=1e-10)
-        np.testing.assert_allclose(belief.cov[run], P, atol=1e-10)
+        np.testing.assert_allclose(belief.nominal[run], nominal, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(belief.mean[run], nominal + dx, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(belief.cov[run], P, rtol=1e-10, atol=1e-10)
 
 
 def test_gains_do_not_depend_on_the_measurements():
@@ -60,8 +60,8 @@ def test_handed_over_from_the_start_it_is_the_ekf():
     model, mean, cov, ys, us = problem(1, 4)
     belief = drive(LKF(model, handover_time=0.0), mean, cov, ys, us)
     expected = drive(EKF(model), mean, cov, ys, us)
-    np.testing.assert_allclose(belief.mean, expected.mean, atol=1e-12)
-    np.testing.assert_allclose(belief.cov, expected.cov, atol=1e-12)
+    np.testing.assert_allclose(belief.mean, expected.mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(belief.cov, expected.cov, rtol=1e-10, atol=1e-12)
 
 
 def test_hand_over_time_switches_all_runs_at_that_time():
@@ -77,8 +77,8 @@ def test_hand_over_time_switches_all_runs_at_that_time():
             after = ekf.predict(after, us[k], 0.1 * k, 0.1)
         after, _ = ekf.update(after, ys[k], us[k], 0.1 * (k + 1))
     assert switched.handed.all()
-    np.testing.assert_allclose(switched.mean, after.mean, atol=1e-12)
-    np.testing.assert_allclose(switched.cov, after.cov, atol=1e-12)
+    np.testing.assert_allclose(switched.mean, after.mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(switched.cov, after.cov, rtol=1e-10, atol=1e-12)
 
 
 def test_hand_over_by_deviation_is_each_runs_own():

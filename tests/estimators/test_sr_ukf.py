@@ -51,8 +51,8 @@ def test_equals_the_textbook_ukf(seed, n, rule):
         belief, _ = estimator.update(belief, y, u, 0.1 * (k + 1))
     for run in range(3):
         x, P = textbook_ukf(model, mean[run], cov[run], ys[:, run], us[:, run], 0.1, *rule)
-        np.testing.assert_allclose(estimator.mean(belief)[run], x, atol=1e-10)
-        np.testing.assert_allclose(estimator.cov(belief)[run], P, atol=1e-10)
+        np.testing.assert_allclose(estimator.mean(belief)[run], x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(estimator.cov(belief)[run], P, rtol=1e-10, atol=1e-10)
     np.testing.assert_array_equal(belief.factor, np.tril(belief.factor))
 
 
@@ -74,8 +74,8 @@ def test_equals_filterpy(seed):
         belief, _ = estimator.update(estimator.predict(belief, u, 0.0, dt), y, u, dt)
         peer.predict()
         peer.update(y[0])
-        np.testing.assert_allclose(belief.mean[0], peer.x, atol=1e-10)
-        np.testing.assert_allclose(belief.cov[0], peer.P, atol=1e-10)
+        np.testing.assert_allclose(belief.mean[0], peer.x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(belief.cov[0], peer.P, rtol=1e-10, atol=1e-10)
 
 
 def test_a_lost_prediction_is_named_in_its_own_run():

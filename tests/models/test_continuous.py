@@ -118,8 +118,12 @@ def test_noise_and_control_matrices_are_checked():
         pendulum(G=np.ones((3, 1)))
     with pytest.raises(DimensionError, match="G has shape"):
         pendulum(n_controls=2)
+    with pytest.raises(DimensionError, match=r"G has shape \(\)"):
+        pendulum(G=1.0)
     with pytest.raises(DimensionError, match="substeps is 0"):
         pendulum(substeps=0)
+    with pytest.raises(DimensionError, match=r"Q_s has shape \(\); expected a square matrix"):
+        ContinuousFunctionModel(lambda x, u, t: x, lambda x, u, t: x, 0.1, np.eye(1))
     with pytest.raises(CovarianceError, match="R is not"):
         ContinuousFunctionModel(lambda x, u, t: x, lambda x, u, t: x, np.eye(2), -np.eye(2))
     short = ContinuousFunctionModel(

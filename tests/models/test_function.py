@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 
@@ -17,11 +19,11 @@ def inputs(n, runs=3, points=None):
     return rng.standard_normal((*lead, n)), rng.standard_normal((runs, 1))
 
 
-def scalar_model(f=None, h=None, **options):
+def scalar_model(f=None, h=None, Q=np.eye(2), R=np.eye(2), **options):  # noqa: B008 not changed
     def identity(x, u, *time):
         return x
 
-    return FunctionModel(f or identity, h or identity, np.eye(2), np.eye(2), **options)
+    return FunctionModel(f or identity, h or identity, Q, R, **options)
 
 
 @dimensions
@@ -145,3 +147,51 @@ def test_a_constant_omega_is_that_of_the_covariance_itself():
     assert model.space.n == 3
     expected = Omega @ np.diag([2.0, 3.0]) @ Omega.T
     np.testing.assert_array_equal(model.process_noise(np.zeros((1, 3)), np.zeros((1, 0))), expected)
+
+
+def test_noise_may_depend_on_time():
+    model = FunctionModel(
+        lambda x, *_: x, lambda x, *_: x, lambda t, dt: dt * (1.0 + t) * np.eye(2),
+        lambda t: np.diag([1.0, 4.0 + t]),
+    )  # fmt: skip
+    ekf, u = EKF(model), np.zeros((1, 0))
+    belief = ekf.init(np.zeros((1, 2)), np.eye(2)[None])
+    prior = ekf.predict(belief, u, 2.0, 0.5)
+    np.testing.assert_allclose(prior.cov[0], (1.0 + 1.5) * np.eye(2), rtol=1e-8)
+    _, innovation = ekf.update(prior, np.zeros((1, 2)), u, 2.5)
+    np.testing.assert_allclose(innovation.cov[0], np.diag([3.5, 9.0]), rtol=1e-8)
+
+
+def test_a_function_of_one_state_may_return_lists_and_numbers():
+    """A published example as it is written: a falling body, its height seen through a sine."""
+    model = FunctionModel(
+        lambda x, u, t, dt: [x[0] + dt * x[1], x[1] - 9.81 * dt],
+        lambda x, u, t: math.sin(x[0]),
+        0.1 * np.eye(2),
+        np.eye(1),
+        batched=False,
+    )
+    x, u = inputs(2, points=4)
+    np.testing.assert_allclose(model.transition(x, u, 0.0, 0.1)[..., 1], x[..., 1] - 0.981)
+    np.testing.assert_allclose(model.measurement(x, u)[..., 0], np.sin(x[..., 0]))
+    _, H = model.measurement_jacobian(x[:, 0], u)
+    np.testing.assert_allclose(H[:, 0, 0], np.cos(x[:, 0, 0]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ({"Q": 0.1}, r"Q has shape \(\); expected a square matrix, 0.1 \* np.eye\(1\)"),
+        ({"R": np.ones(2)}, r"R has shape \(2,\); expected a square matrix"),
+        ({"Q": lambda t, dt: np.eye(2 if t == 0 else 3)}, r"Q returned shape \(3, 3\); expected"),
+        ({"R": lambda t: np.eye(2 if t == 0 else 3)}, r"R returned shape \(3, 3\); expected"),
+    ],
+)
+def test_noise_of_a_wrong_shape(noise, message):
+    def use():
+        model = scalar_model(**noise)
+        model.process_noise(np.zeros((1, 2)), np.zeros((1, 0)), 1.0)
+        model.measurement_noise(1.0)
+
+    with pytest.raises(DimensionError, match=message):
+        use()

@@ -95,6 +95,7 @@ def test_overrides_do_not_leak_into_the_spec():
         ("site_pos.imo", 1.0, "no site 'imo' .did you mean 'imu'"),
         ("geom_size.pole", [1.0, 2.0], "'geom_size.pole' takes 3 numbers, got 2"),
         ("body_mass.pole", [1.0, 2.0], "'body_mass.pole' takes 1 numbers, got 2"),
+        ("body_mass.pole", "heavy", "'body_mass.pole' takes 1 numbers, got 'heavy'"),
     ],
 )
 def test_bad_overrides(key, value, message):

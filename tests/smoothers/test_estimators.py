@@ -52,8 +52,8 @@ def test_all_are_one_on_a_linear_model(name, settings, seed):
     smoothed = smoother.smooth(passage(smoother, seed))
     assert len(smoothed) == len(expected) == 7
     for ours, other in zip(smoothed, expected):
-        np.testing.assert_allclose(smoother.mean(ours), other.mean, atol=1e-8)
-        np.testing.assert_allclose(smoother.cov(ours), other.cov, atol=1e-8)
+        np.testing.assert_allclose(smoother.mean(ours), other.mean, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(smoother.cov(ours), other.cov, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize(("window", "ends"), [(2.0, [2, 4, 6]), (4.0, [4, 6]), (0.5, [1, 2, 3])])
@@ -67,8 +67,12 @@ def test_a_window_starts_from_the_filter_and_knows_its_own_measurements(window, 
         expected = rts(model, whole.beliefs[part], whole.controls[first:last], whole.times[part])
         # A time between two windows is the start of the later one.
         for k in range(first, last if last < 6 else last + 1):
-            np.testing.assert_allclose(smoothed[k].mean, expected[k - first].mean, atol=1e-8)
-            np.testing.assert_allclose(smoothed[k].cov, expected[k - first].cov, atol=1e-8)
+            np.testing.assert_allclose(
+                smoothed[k].mean, expected[k - first].mean, rtol=1e-10, atol=1e-10
+            )
+            np.testing.assert_allclose(
+                smoothed[k].cov, expected[k - first].cov, rtol=1e-10, atol=1e-10
+            )
         first = last
 
 
@@ -106,8 +110,8 @@ def test_what_is_judged_is_the_smoothed_run_and_the_filters_innovations(robot):
     controls = [source.control(k, np.empty(0)) for k in range(len(source.instants))]
     with engine():
         expected = rts(prepared.model(), posteriors, controls, prepared.times.tolist())
-    np.testing.assert_allclose(smoothed.mean, [b.mean for b in expected], atol=1e-12)
-    np.testing.assert_allclose(smoothed.cov, [b.cov for b in expected], atol=1e-12)
+    np.testing.assert_allclose(smoothed.mean, [b.mean for b in expected], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(smoothed.cov, [b.cov for b in expected], rtol=1e-10, atol=1e-12)
     error = prepared.space.minus(smoothed.truth, smoothed.mean)
     np.testing.assert_array_equal(smoothed.error, error)
     assert (smoothed.std[:-1] <= filtered.std[:-1] * (1 + 1e-9)).all()
@@ -139,8 +143,10 @@ def test_a_late_reading_stands_where_it_belongs(latency):
             for m in seen.measurements[k + 1]:
                 belief, _ = ekf.update(belief, m.y, m.u, t + dt, m.channels, m.mask)
                 late += "encoder" in m.channels
-            np.testing.assert_allclose(seen.beliefs[k + 1].mean, belief.mean, atol=1e-12)
-            np.testing.assert_allclose(seen.beliefs[k + 1].cov, belief.cov, atol=1e-12)
+            np.testing.assert_allclose(
+                seen.beliefs[k + 1].mean, belief.mean, rtol=1e-10, atol=1e-12
+            )
+            np.testing.assert_allclose(seen.beliefs[k + 1].cov, belief.cov, rtol=1e-10, atol=1e-12)
     assert late == 30 - round(latency / 0.01)
 
 
@@ -181,7 +187,9 @@ def test_map_is_the_function_on_the_filters_means():
             prepared.model(), prior, controls, prepared.times.tolist(), measured,
             start=list(filtered.mean), iterations=1,
         )  # fmt: skip
-    np.testing.assert_allclose(traces.mean, [b.mean for b in expected.beliefs], atol=1e-12)
+    np.testing.assert_allclose(
+        traces.mean, [b.mean for b in expected.beliefs], rtol=1e-10, atol=1e-12
+    )
 
 
 def test_in_one_table_with_their_filters():

@@ -35,10 +35,10 @@ def test_equals_the_batch_solution_and_rts_on_a_linear_model(seed):
         inputs = [u[i] for u in controls]
         means, covs = batch(model, mean[i], cov[i], inputs, ys[:, i], masks[:, i])
         for k, (belief, other) in enumerate(zip(result.beliefs, smoothed)):
-            np.testing.assert_allclose(belief.mean[i], means[k], atol=1e-9)
-            np.testing.assert_allclose(belief.cov[i], covs[k], atol=1e-9)
-            np.testing.assert_allclose(belief.mean[i], other.mean[i], atol=1e-9)
-            np.testing.assert_allclose(belief.cov[i], other.cov[i], atol=1e-9)
+            np.testing.assert_allclose(belief.mean[i], means[k], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(belief.cov[i], covs[k], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(belief.mean[i], other.mean[i], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(belief.cov[i], other.cov[i], rtol=1e-10, atol=1e-10)
 
 
 def cost(model, prior, controls, times, measured, xs):

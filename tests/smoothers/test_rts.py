@@ -82,8 +82,8 @@ def test_equals_the_batch_solution_on_a_linear_model(filter, smoother, seed):
         inputs, data = [u[i] for u in controls], ys[:, i]
         means, covs = batch(model, mean[i], cov[i], inputs, data, masks[:, i])
         for k, belief in enumerate(smoothed):
-            np.testing.assert_allclose(belief.mean[i], means[k], atol=1e-9)
-            np.testing.assert_allclose(belief.cov[i], covs[k], atol=1e-9)
+            np.testing.assert_allclose(belief.mean[i], means[k], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(belief.cov[i], covs[k], rtol=1e-10, atol=1e-10)
 
 
 def test_extended_equals_the_textbook():
@@ -100,8 +100,8 @@ def test_extended_equals_the_textbook():
             prior = F @ Px @ F.T + model.Q
             G = Px @ F.T @ np.linalg.inv(prior)
             m, P = x + G @ (m - f), Px + G @ (P - prior) @ G.T
-            np.testing.assert_allclose(smoothed[k].mean[i], m, atol=1e-10)
-            np.testing.assert_allclose(smoothed[k].cov[i], P, atol=1e-10)
+            np.testing.assert_allclose(smoothed[k].mean[i], m, rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(smoothed[k].cov[i], P, rtol=1e-10, atol=1e-10)
 
 
 def test_unscented_equals_the_textbook():
@@ -122,8 +122,8 @@ def test_unscented_equals_the_textbook():
             prior = model.Q + np.cov(images.T, bias=True) + 2 * np.outer(centre - f, centre - f)
             G = (points - x).T @ (images - f) / (2 * n) @ np.linalg.inv(prior)
             m, P = x + G @ (m - f), Px + G @ (P - prior) @ G.T
-            np.testing.assert_allclose(smoothed[k].mean[i], m, atol=1e-10)
-            np.testing.assert_allclose(smoothed[k].cov[i], P, atol=1e-10)
+            np.testing.assert_allclose(smoothed[k].mean[i], m, rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(smoothed[k].cov[i], P, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize(("filter", "smoother"), SMOOTHERS)

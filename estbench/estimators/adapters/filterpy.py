@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
-from estbench.estimators.settings import in_range
+from estbench.estimators.settings import scaled_rule
 
 Array = NDArray[np.float64]
 
@@ -68,9 +68,7 @@ class FilterPyUKF(_FilterPy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        in_range(self, "alpha", 0.0, 1.0, low_open=True)
-        in_range(self, "beta", 0.0)
-        in_range(self, "kappa")
+        scaled_rule(self)
 
     def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
         """`predict` with the model's f."""

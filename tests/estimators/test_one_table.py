@@ -1,0 +1,45 @@
+"""Every estimator of `estbench list` in one table, on the same truth and the same readings."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from benchmarks import estimators as benchmark
+from estbench import experiment
+from estbench.estimators import registry
+from tests.helpers import OTHER, SAMPLED
+
+SMALL = ["estimators.enkf={size=20}", "estimators.pf={size=500}"]
+ALIKE = [
+    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "schmidt_ekf", "bias_ekf", "bias_ukf"),
+    *("converted_ekf", "filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"),
+]
+"""With default settings, the EKF on a robot that hardly bends."""
+
+
+@pytest.mark.parametrize("robot", ["pendulum", "cartpole"])
+def test_all_of_them(robot):
+    names = list(registry.BUILTIN)
+    results = experiment.run(robot, names, runs=3, duration=0.2, overrides=SMALL)
+    assert [s.label for s in results.summaries] == names
+    rmse = {name: [i.value for i in results[name].rmse] for name in names}
+    assert all(results[name].diverged == 0 for name in names)
+    assert all(results[name].cost > 0 for name in names)
+    for name in ALIKE:
+        np.testing.assert_allclose(rmse[name], rmse["ekf"], rtol=0.02, err_msg=name)
+    for name in ("rts", "urts", "map"):
+        assert np.mean(rmse[name]) < np.mean(rmse["ekf"])
+    for name in SAMPLED | OTHER | {"lkf", "kf", "cd_ekf"}:
+        assert (np.array(rmse[name]) < 3.0 * np.array(rmse["ekf"])).all(), name
+
+
+def test_the_benchmark_prints_a_row_for_each(monkeypatch, capsys):
+    words = ["--runs", "2", "--duration", "0.05", "--only", "ekf", "rts"]
+    monkeypatch.setattr(sys, "argv", ["estimators", *words])
+    benchmark.main()
+    printed = capsys.readouterr().out
+    for robot in benchmark.ROBOTS:
+        table = printed.partition(f"## {robot}\n")[2].splitlines()
+        assert [row.split("|")[1].strip() for row in table[2:4]] == ["`ekf`", "`rts`"]
+        assert {row.count("|") for row in table[:4]} == {table[0].count("|")}
