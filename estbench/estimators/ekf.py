@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EKF(GaussianEstimator):
-    """The model linearized about the current estimate, on the state's manifold.
+    """Extended Kalman filter: the model linearized about the current estimate.
 
     Cost per step: n + 1 transitions and n + 1 measurements with forward differences. Choose it
     first: it is the cheapest, and right while the error stays small against the curvature.

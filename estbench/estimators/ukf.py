@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import EstimatorError
 from estbench.estimators.base import (
     Fault,
     Gaussian,
@@ -15,7 +14,7 @@ from estbench.estimators.base import (
     marked,
     settle,
 )
-from estbench.estimators.settings import in_range, switch
+from estbench.estimators.settings import scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.linalg import cholesky, symmetrize
 from estbench.models.base import Channels, Model
@@ -103,7 +102,7 @@ def failed_factor(lower: Array, cov: Array) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class UKF(SigmaPointFilter):
-    """Scaled unscented transform. Cost per step: 2 n + 1 transitions and 2 n + 1 measurements.
+    """Unscented Kalman filter, by the scaled transform. Cost per step: 2 n + 1 transitions and 2 n + 1 measurements.
 
     Choose it where the EKF is overconfident because the model bends within one standard deviation,
     or where the model has no usable derivative.
@@ -120,14 +119,8 @@ class UKF(SigmaPointFilter):
     kappa: float = 0.0
 
     def __post_init__(self) -> None:
-        in_range(self, "alpha", 0.0, 1.0, low_open=True)
-        in_range(self, "beta", 0.0)
-        in_range(self, "kappa")
+        scaled_rule(self)
         switch(self, "redraw")
-        n = self.model.space.n
-        if not n + self.kappa > 0:
-            raise EstimatorError(
-                f"UKF: kappa is {self.kappa!r}; n + kappa must be positive, so use a value above "
-                f"{-n}"
-            )
-        object.__setattr__(self, "rule", scaled(n, self.alpha, self.beta, self.kappa))
+        object.__setattr__(
+            self, "rule", scaled(self.model.space.n, self.alpha, self.beta, self.kappa)
+        )
