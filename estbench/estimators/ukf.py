@@ -102,8 +102,9 @@ def failed_factor(lower: Array, cov: Array) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class UKF(SigmaPointFilter):
-    """Unscented Kalman filter, by the scaled transform. Cost per step: 2 n + 1 transitions and 2 n + 1 measurements.
+    """Unscented Kalman filter, by the scaled transform.
 
+    Cost per step: 2 n + 1 transitions and 2 n + 1 measurements.
     Choose it where the EKF is overconfident because the model bends within one standard deviation,
     or where the model has no usable derivative.
 
