@@ -17,9 +17,9 @@ from estbench.consistency import Interval, mean_interval
 from estbench.controllers import Controller
 from estbench.envs.errors import EnvError
 from estbench.envs.keys import RowKeys
-from estbench.envs.rows import cpus
 from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean
+from estbench.executors import cpu_count
 from estbench.models.rows import engine
 from estbench.scenario import Scenario
 
@@ -139,7 +139,7 @@ def compare(
             raise EnvError(f"estimators.{label}: the label '{label}' is taken; choose another")
     tables = {TRUTH: None} | {k: {"type": k, **v} for k, v in resolved.estimators.items()}
     tables |= {RAW: {"type": "estbench.envs.raw:RawReadings"}}
-    threads = cpus()
+    threads = cpu_count()
     with engine():
         worlds = {
             label: World(prepare(resolved, table, None, ()), runs, table is not None, threads)

@@ -1,6 +1,5 @@
 """The customs of Gymnasium's vector environments: seeds, masks and infos by row."""
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,11 +12,6 @@ from estbench.envs.keys import Mask
 
 Array = NDArray[np.float64]
 MODES = tuple(mode.value for mode in AutoresetMode) + tuple(AutoresetMode)
-
-
-def cpus() -> int:
-    """CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def row_seeds(seed: int | Sequence[int | None] | None, rows: int) -> list[int | None]:

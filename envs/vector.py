@@ -16,8 +16,9 @@ from estbench.envs.keys import Mask, RowKeys
 from estbench.envs.native import ScenarioEnv
 from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
-from estbench.envs.rows import MODES, add_final, cpus, reset_mask, row_seeds, vector_info
+from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.world import World, prepare
+from estbench.executors import cpu_count
 from estbench.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         if render_mode not in (None, "rgb_array"):
             raise EnvError(f"render_mode is '{render_mode}'; a vector has 'rgb_array' or None")
         prepared = prepare(scenario, estimator, sensors, overrides)
-        threads = nthread or cpus()
+        threads = nthread or cpu_count()
         self.num_envs = num_envs
         self.world = World(
             prepared, num_envs, estimator is not None, threads, look=observe == "raw"

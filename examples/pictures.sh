@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Makes the README's two pictures: docs/images/nees.png and docs/images/ghost.png.
+# Makes the README's two pictures, docs/images/nees.png and docs/images/ghost.png, and that of
+# docs/gymnasium.md, docs/images/environment.png.
 #
-# A quadrotor whose position fix comes ten times a second and 0.1 s late, filtered by the same EKF
+# The README's: a quadrotor whose position fix comes ten times a second and 0.1 s late, filtered by the same EKF
 # twice: `exact` goes back to the time of the fix and replays, `naive` takes it as current.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -17,3 +18,15 @@ estbench run quadrotor "${late[@]}" --runs 60 --out "$folder/store" \
 estbench plot "$folder/store" --what nees --format png --out docs/images/nees.png
 estbench video "$folder/store" -e exact --run 7 --at 2.4 --width 480 --height 360 \
   --out docs/images/ghost.png
+python - <<'PICTURE'
+import gymnasium as gym
+import estbench.envs
+from PIL import Image
+
+env = gym.make("estbench/Quadrotor-v0", render_mode="rgb_array", width=480, height=320)
+env.reset(seed=3)
+for _ in range(12):
+    env.step(env.action_space.sample() * 0)
+Image.fromarray(env.render()).save("docs/images/environment.png", optimize=True)
+env.close()
+PICTURE

@@ -6,6 +6,7 @@ import os
 import platform
 import struct
 import sys
+import weakref
 import zlib
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError
-from estbench.report.scene import add_ellipsoid, add_ghost, plain, pose, position_covariance, tips
+from estbench.report.scene import add_belief, plain, pose
 
 Array = NDArray[np.float64]
 
@@ -30,14 +31,19 @@ class Renderer:
     Args:
         model: the robot; its offscreen buffer is enlarged where it is too small.
         width, height: pixels.
-        camera: a camera of the model; default `view`, else its first, else one that follows.
+        camera: name or number of a camera of the model, -1 for one that follows; default `view`,
+            else its first, else one that follows.
 
     Raises:
         RenderError: neither OSMesa nor EGL works here, or there is no such camera.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, width: int = 640, height: int = 480, camera: str | None = None
+        self,
+        model: mujoco.MjModel,
+        width: int = 640,
+        height: int = 480,
+        camera: str | int | None = None,
     ):
         self.model = model
         self._rect = mujoco.MjrRect(0, 0, width, height)
@@ -45,27 +51,21 @@ class Renderer:
         size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
         model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 1024)  # drawn by the CPU
         self.scene = mujoco.MjvScene(model, maxgeom=4 * model.ngeom + 4 * model.nsite + 200)
-        self.camera, self._follows = _camera(model, camera)
+        self.camera, self._follows = find_camera(model, camera)
         self._option = plain()
         self._truth, self._ghost = mujoco.MjData(model), mujoco.MjData(model)
-        self._gl: Any = context(width, height)
+        self._gl = context(width, height)
         self._gl.make_current()
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        self.close = weakref.finalize(self, _free, self._gl, self._mjr)
+        """Free the OpenGL context: now, or when this is collected, or as Python ends."""
 
     def __enter__(self) -> "Renderer":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def close(self) -> None:
-        """Free the OpenGL context; call it, or use `with`."""
-        if self._gl is not None:
-            self._gl.make_current()
-            self._mjr.free()
-            self._gl.free()
-            self._gl = None
 
     def draw(self, x: Array, estimate: Array | None = None, cov: Array | None = None) -> NDArray:
         """One picture `(height, width, 3)` of unsigned bytes.
@@ -92,17 +92,15 @@ class Renderer:
             self.model, self._truth, self._option, mujoco.MjvPerturb(), self.camera,
             int(mujoco.mjtCatBit.mjCAT_ALL), self.scene,
         )  # fmt: skip
-        if estimate is None or not np.isfinite(estimate).all():
+        if estimate is None:
             return range(0)
-        pose(self.model, self._ghost, estimate)
-        ghost = add_ghost(self.scene, self.model, self._ghost, option=self._option)
-        if cov is not None:
-            for body in tips(self.model):
-                centre, spread = position_covariance(self.model, self._ghost, body, cov)
-                add_ellipsoid(
-                    self.scene, centre, spread, smallest=5e-3 * float(self.model.stat.extent)
-                )
-        return ghost
+        return add_belief(self.scene, self.model, self._ghost, estimate, cov, self._option)
+
+
+def _free(gl: Any, mjr: mujoco.MjrContext) -> None:
+    gl.make_current()
+    mjr.free()
+    gl.free()
 
 
 def context(width: int, height: int) -> Any:
@@ -197,16 +195,23 @@ def _egl_display() -> bool:
         return False
 
 
-def _camera(model: mujoco.MjModel, name: str | None) -> tuple[mujoco.MjvCamera, bool]:
-    """The camera, and whether its target must follow the robot."""
-    camera = mujoco.MjvCamera()
+def find_camera(model: mujoco.MjModel, wanted: str | int | None) -> tuple[mujoco.MjvCamera, bool]:
+    """A camera as in `Renderer`, and whether its target must follow the robot.
+
+    Raises:
+        RenderError: there is no such camera.
+    """
     names = [model.camera(i).name for i in range(model.ncam)]
-    if name is not None and name not in names:
-        raise RenderError(f"no camera '{name}' (known: {', '.join(names) or 'none'})")
-    if names:
-        chosen = name or ("view" if "view" in names else names[0])
-        camera.type = int(mujoco.mjtCamera.mjCAMERA_FIXED)
-        camera.fixedcamid = names.index(chosen)
-        return camera, False
-    mujoco.mjv_defaultFreeCamera(model, camera)
-    return camera, True
+    known = wanted in names or (isinstance(wanted, int) and -1 <= wanted < len(names))
+    if wanted is not None and not known:
+        raise RenderError(
+            f"camera is {wanted!r}; the model has {', '.join(names) or 'none'} (-1 is free)"
+        )
+    camera = mujoco.MjvCamera()
+    if not names or wanted == -1:
+        mujoco.mjv_defaultFreeCamera(model, camera)
+        return camera, True
+    chosen = wanted if wanted is not None else "view" if "view" in names else 0
+    camera.type = int(mujoco.mjtCamera.mjCAMERA_FIXED)
+    camera.fixedcamid = names.index(chosen) if isinstance(chosen, str) else chosen
+    return camera, False

@@ -1,6 +1,7 @@
 """What is drawn of an estimate in a MuJoCo scene: a translucent ghost and covariance ellipsoids.
 
-These append to any `mujoco.MjvScene`, whoever shows it, and need no OpenGL.
+These append to any `mujoco.MjvScene` and need no OpenGL: the report's pictures, videos, the live
+view and the environments all draw with them.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,41 @@ GHOST = (0.0, 0.62, 0.45, 0.45)
 ELLIPSOID = (0.80, 0.47, 0.65, 0.35)
 SIGMAS = 3.0
 """Semi-axes of the ellipsoid in standard deviations."""
+THINNEST = 5e-3
+"""Least semi-axis drawn, as part of the robot's size: a planar robot's ellipsoid is flat."""
 _SWELL = 1.015  # a ghost exactly on the truth would fight with it for the same pixels
+
+
+def add_belief(
+    scene: mujoco.MjvScene,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    estimate: Array,
+    cov: Array | None = None,
+    option: mujoco.MjvOption | None = None,
+) -> range:
+    """Append the ghost at an estimate and the ellipsoids of its position covariance to a scene.
+
+    Args:
+        scene: to append to.
+        model: the robot.
+        data: scratch; the estimate is put into it.
+        estimate: x̂ `(nx,)`; nothing is appended where it is not finite.
+        cov: P `(n, n)`, in the tangent at the estimate; no ellipsoids without it.
+        option: as in `add_ghost`.
+
+    Returns:
+        Indices of the ghost's geoms in `scene.geoms`.
+    """
+    if not np.isfinite(estimate).all():
+        return range(0)
+    pose(model, data, estimate)
+    ghost = add_ghost(scene, model, data, option=option)
+    if cov is not None:
+        for body in tips(model):
+            centre, spread = position_covariance(model, data, body, cov)
+            add_ellipsoid(scene, centre, spread, smallest=THINNEST * float(model.stat.extent))
+    return ghost
 
 
 def add_ghost(
@@ -135,6 +170,7 @@ def pose(model: mujoco.MjModel, data: mujoco.MjData, x: Array) -> None:
     data.qvel[:] = x[model.nq : model.nq + model.nv]
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
+    mujoco.mj_tendon(model, data)
     mujoco.mj_camlight(model, data)
 
 

@@ -1,6 +1,5 @@
 """Statistics that need the traces of every run, read batch by batch so that any store fits."""
 
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from estbench.consistency import Interval, chi_square_band, mean_interval
+from estbench.executors import cpu_count
 from estbench.report.data import thin
 from estbench.report.sources import Entry
 
@@ -73,7 +73,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         return None
     source, n = entry.source, entry.source.n
     edges = np.linspace(0.0, float(stats.chi2.ppf(0.9999, n)), NEES_BINS + 1)
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(cpu_count()) as pool:
         parts = list(
             pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), _pieces(entry))
         )

@@ -1,6 +1,5 @@
 """`estbench view`: the player in a browser (MuJoCo's web viewer, on loopback) or in a window."""
 
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +12,9 @@ import numpy as np
 
 from estbench.errors import EstbenchError
 from estbench.report.player import COMMANDS, FRAME, KEYS, Player
-from estbench.report.scene import add_ellipsoid, add_ghost, pose, position_covariance, tips
+from estbench.report.render import find_camera
+from estbench.report.scene import add_belief
+from estbench.report.window import Window
 
 LOOPBACK = "127.0.0.1"
 
@@ -42,7 +43,8 @@ def watch(
         overrides: `section.key=value` strings.
 
     Raises:
-        ViewError: there is no display, or this MuJoCo has no web viewer.
+        WindowError: there is no display.
+        ViewError: this MuJoCo has no web viewer.
         EstbenchError: anything wrong with the scenario.
     """
     player = Player(source, estimator, run, overrides)
@@ -57,23 +59,13 @@ class Ghost:
 
     def __init__(self, model: mujoco.MjModel):
         self.model = model
-        self.scene = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + model.nbody + 10)
         self._data = mujoco.MjData(model)
-        self._bodies = tips(model)
 
-    def update(self, player: Player) -> None:
-        """Fill `scene` with them."""
+    def update(self, player: Player, scene: mujoco.MjvScene) -> None:
+        """Fill a scene with them."""
         replay, step = player.replay, player.step
-        estimate, cov = replay.estimate[step], replay.cov[step]
-        self.scene.ngeom = 0
-        if not np.isfinite(estimate).all():
-            return
-        pose(self.model, self._data, estimate)
-        add_ghost(self.scene, self.model, self._data)
-        least = 5e-3 * float(self.model.stat.extent)
-        for body in self._bodies:
-            centre, spread = position_covariance(self.model, self._data, body, cov)
-            add_ellipsoid(self.scene, centre, spread, smallest=least)
+        scene.ngeom = 0
+        add_belief(scene, self.model, self._data, replay.estimate[step], replay.cov[step])
 
 
 def _place(player: Player, data: mujoco.MjData) -> None:
@@ -110,6 +102,7 @@ def _page(player: Player, port: int) -> None:
 
     model = player.replay.model
     ghost = Ghost(model)
+    scene = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + model.nbody + 10)
 
     class Overlay(plugin.ViewerPlugin):
         """The ghost, a panel of words and buttons, and the keys."""
@@ -122,8 +115,8 @@ def _page(player: Player, port: int) -> None:
             if not self._looked and self.viewer.model.nbody == model.nbody:
                 mujoco.mjv_defaultFreeCamera(self.viewer.model, self.viewer.camera)
                 self._looked = True
-            ghost.update(player)
-            self.viewer.extra_geoms[:] = [ghost.scene.geoms[i] for i in range(ghost.scene.ngeom)]
+            ghost.update(player, scene)
+            self.viewer.extra_geoms[:] = [scene.geoms[i] for i in range(scene.ngeom)]
 
         @messages.handler
         def on_gui(self, _: messages.BuildGuiEvent) -> None:
@@ -202,46 +195,26 @@ def _imgui_keys(imgui: Any) -> dict[str, Any]:
 
 def _window(player: Player, port: int) -> None:
     """MuJoCo's desktop viewer."""
-    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.platform.startswith("linux") and not shown:
-        raise ViewError("--window needs a display; without it the view is served to a browser")
-    try:
-        import mujoco.viewer
-    except (ImportError, RuntimeError) as error:
-        raise ViewError(f"--window needs GLFW: {' '.join(str(error).split())}") from None
-
     model = player.replay.model
     data, ghost, passed = mujoco.MjData(model), Ghost(model), _clock()
 
     def key(code: int) -> None:
-        player.command(COMMANDS.get(chr(code).lower(), ""))
+        player.command(COMMANDS.get(chr(max(code, 0)).lower(), ""))  # -1: a key without a name
 
     _place(player, data)
     mujoco.mj_forward(model, data)
+    camera, _ = find_camera(model, None)
+    remedy = "without --window the view is served to a browser"
+    window = Window(model, data, remedy, camera, key)
     for name, what in KEYS.items():
         print(f"  {name:8} {what}")
-    with mujoco.viewer.launch_passive(
-        model, data, key_callback=key, show_left_ui=False, show_right_ui=False
-    ) as viewer:
-        mujoco.mjv_defaultFreeCamera(model, viewer.cam)
+    with window as viewer:
         while viewer.is_running():
             player.advance(passed())
             with viewer.lock():
                 _place(player, data)
                 mujoco.mj_forward(model, data)
-                ghost.update(player)
-                scene = viewer.user_scn
-                if scene is not None:
-                    _copy(ghost.scene, scene)
+                ghost.update(player, viewer.user_scn)
             viewer.set_texts([(None, None, "\n".join(player.lines()), "")])
             viewer.sync()
             time.sleep(FRAME)
-
-
-def _copy(source: mujoco.MjvScene, target: mujoco.MjvScene) -> None:
-    """Draw a scene's geoms in another."""
-    target.ngeom = min(source.ngeom, target.maxgeom)
-    for i in range(target.ngeom):
-        a, b = source.geoms[i], target.geoms[i]
-        mujoco.mjv_initGeom(b, a.type, a.size, a.pos, a.mat.ravel(), a.rgba)
-        b.dataid, b.category, b.transparent, b.matid = a.dataid, a.category, 1, -1

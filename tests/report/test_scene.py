@@ -110,5 +110,5 @@ def test_without_opengl_one_line_says_what_to_install(monkeypatch):
 
 
 def test_an_unknown_camera(quadrotor):
-    with pytest.raises(render.RenderError, match=r"no camera 'top' \(known: view\)"):
+    with pytest.raises(render.RenderError, match=r"camera is 'top'; the model has view"):
         render.Renderer(quadrotor.plant.model, 64, 64, "top")

@@ -7,12 +7,13 @@ import time
 import urllib.error
 import urllib.request
 
+import mujoco
 import numpy as np
 import pytest
 
 from estbench import setup
 from estbench.errors import EstbenchError
-from estbench.report import player, replay, view
+from estbench.report import player, replay, scene, view, window
 from estbench.report.player import Player, Settings
 
 
@@ -95,10 +96,15 @@ def test_a_run_that_cannot_be_simulated_is_said(playing, monkeypatch):
 
 def test_the_ghost_of_the_view_is_the_estimate(playing):
     playing.advance(0.3)
-    ghost = view.Ghost(playing.replay.model)
-    ghost.update(playing)
-    moving = playing.replay.model.ngeom - 3  # floor, stand, axle
-    assert ghost.scene.ngeom == moving + 1
+    model, estimate = playing.replay.model, playing.replay.estimate[playing.step]
+    seen = mujoco.MjvScene(model, 100)
+    view.Ghost(model).update(playing, seen)
+    moving = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] != 0]
+    assert seen.ngeom == len(moving) + 1
+    data = mujoco.MjData(model)
+    scene.pose(model, data, estimate)
+    for i, g in enumerate(moving):
+        np.testing.assert_allclose(seen.geoms[i].pos, data.geom_xpos[g], atol=1e-6)
 
 
 def test_bad_input(monkeypatch):
@@ -106,7 +112,7 @@ def test_bad_input(monkeypatch):
         view.watch("pendulum", run=-1)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(view.ViewError, match="needs a display"):
+    with pytest.raises(window.WindowError, match="without --window the view is served"):
         view.watch("pendulum", window=True)
 
 
