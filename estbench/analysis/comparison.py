@@ -143,7 +143,7 @@ class Rank:
     lost: float
 
 
-def score(mse: Array, lost: Array) -> Array:
+def score(mse: Array, lost: NDArray[np.bool_]) -> Array:
     """One number a run for several coordinates: the mean over them of log RMSE `(run,)`.
 
     The exponential of a difference is the geometric mean over the coordinates of the ratios of

@@ -1,4 +1,4 @@
-"""The numbers behind the figures: per-step means with bands, paired differences, chosen runs.
+"""The numbers behind the figures: per-step means with bands, chosen runs.
 
 Statistics are over every finished run that did not diverge. Only `thin` and `choose_runs` leave
 anything out, and they are for drawing.
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency import Interval, chi_square_band, mean_interval
+from estbench.consistency import chi_square_band
 from estbench.report.sources import Entry
 
 Array = NDArray[np.float64]
@@ -139,43 +139,6 @@ def _positive_intervals(mean: Array, variance: Array, runs: Array, level: float)
     half = stats.t.ppf(0.5 + level / 2, (runs - 1) / (1 + squared)) * np.sqrt(v)
     high = 1 - v - half
     return mean / (1 - v + half) ** 3, np.where(high > 0, mean / high**3, np.inf)
-
-
-@dataclass(frozen=True, eq=False)
-class Paired:
-    """One entry minus another on the runs that both have and neither lost.
-
-    Attributes:
-        entry, baseline: keys.
-        runs: how many runs are paired.
-        anees: difference of the runs' NEES/n.
-        rmse: difference of the runs' RMSE, one a coordinate, in its unit.
-        ratio: ratio of cost.
-    """
-
-    entry: str
-    baseline: str
-    runs: int
-    anees: Interval
-    rmse: tuple[Interval, ...]
-    ratio: float
-
-
-def paired(entry: Entry, baseline: Entry) -> Paired:
-    """Differences run by run; Student's t interval of their mean."""
-    common, i, j = np.intersect1d(entry.source.runs, baseline.source.runs, return_indices=True)
-    both = entry.good[i] & baseline.good[j]
-    i, j = i[both], j[both]
-    level = entry.source.level
-    rmse = np.sqrt(entry.record["mse"][i]) - np.sqrt(baseline.record["mse"][j])
-    return Paired(
-        entry.key,
-        baseline.key,
-        int(both.sum()) if len(common) else 0,
-        mean_interval(entry.record["anees"][i] - baseline.record["anees"][j], level),
-        tuple(mean_interval(column, level) for column in rmse.T),
-        entry.summary.cost / baseline.summary.cost if baseline.summary.cost else np.nan,
-    )
 
 
 def thin(values: Array, points: int = POINTS) -> NDArray[np.intp]:

@@ -104,6 +104,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         names=first.names,
         units=first.units,
         level=f"{first.level:.0%}",
+        chance=f"{1 - first.level:.0%}",
         burn_in=f"{first.scenario.consistency.burn_in:g}" if first.scenario.consistency.burn_in
         else "",
         facts=[vars(facts.facts(s)) | {"picture": p}

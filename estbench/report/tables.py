@@ -3,21 +3,25 @@
 from collections.abc import Sequence
 from typing import Any
 
-from estbench.consistency import Interval
-from estbench.report import data, facts, palette
+import numpy as np
+
+from estbench.analysis.comparison import Pair, Paired
+from estbench.analysis.tables import bounds, probability
+from estbench.report import facts, palette
 from estbench.report.drawing import Material
+from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.report.traces import TraceStatistics
 
-RELEVANT = 0.01
-"""A difference below this part of the baseline's value is not coloured."""
+MARKS = {"": "", "less": " ▼", "more": " ▲"}
 NONE = 1e-4
-"""One whose whole interval is below this part is shown as none."""
+"""A difference whose whole interval is below this part of the value is shown as none."""
 
 
-def _cell(value: float, shown: str, kind: str = "") -> dict[str, Any]:
+def _cell(value: float, shown: str, kind: str = "", p: float | None = None) -> dict[str, Any]:
     """A table cell: the number in full for whoever parses the page, and as it is shown."""
-    return {"value": repr(float(value)), "shown": shown, "class": kind}
+    cell = {"value": repr(float(value)), "shown": shown, "class": kind}
+    return cell if p is None else cell | {"p": repr(float(p)), "p_shown": probability(p)}
 
 
 def entry(material: Material, i: int) -> dict[str, Any]:
@@ -63,32 +67,54 @@ def baselines(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     """A table for each baseline: rows of a quantity, columns of the other entries."""
     out = []
     names, units = entries[0].source.names, entries[0].source.units
-    for baseline in entries:
+    found, level = differences(entries), entries[0].source.level
+    for baseline in entries if found else []:
         b = baseline.summary
-        pairs = [data.paired(entry, baseline) for entry in entries if entry is not baseline]
+        pairs = [d for d in found if d.baseline == baseline.key]
         rows = [
-            ("cost", "ratio", [_cell(p.ratio, f"{p.ratio:.3g}") for p in pairs]),
-            ("NEES/n", "", [_difference(p.anees, b.anees.value) for p in pairs]),
+            ("RMSE, all coordinates", "ratio", [_ratio(d.score) for d in pairs]),
+            ("p, Wilcoxon", "Holm", [_p(d.score.wilcoxon) for d in pairs]),
+            ("p, sign test", "Holm", [_p(d.score.sign) for d in pairs]),
+            ("runs less / more / same", "", [_counts(d.score.paired) for d in pairs]),
+            ("cost", "ratio", [_cell(d.cost, f"{d.cost:.3g}") for d in pairs]),
+            ("NEES/n", "", [_difference(d.nees, b.anees.value, d.p[0], level) for d in pairs]),
         ]
         for i, (name, unit) in enumerate(zip(names, units)):
-            cells = [_difference(p.rmse[i], b.rmse[i].value) for p in pairs]
+            scale = b.rmse[i].value
+            cells = [_difference(d.rmse[i], scale, d.p[1 + i], level) for d in pairs]
             rows.append((name, unit, cells))
+        rows.append(
+            ("runs neither lost", "", [_cell(d.nees.runs, f"{d.nees.runs}") for d in pairs])
+        )
         out.append({"key": baseline.key, "pairs": pairs, "rows": rows})
     return out
 
 
-def _difference(difference: Interval, scale: float) -> dict[str, Any]:
+def _p(p: float) -> dict[str, Any]:
+    return _cell(p, probability(p))
+
+
+def _ratio(pair: Pair) -> dict[str, Any]:
+    """The ratio of RMSE over all coordinates; coloured where the two are told apart."""
+    kind = _side(pair.paired.effect) if pair.differ else ""
+    return _cell(pair.ratio.value, bounds(pair.ratio) + MARKS[kind], kind)
+
+
+def _counts(p: Paired) -> dict[str, Any]:
+    return _cell(p.less, f"{p.less} / {p.more} / {p.ties}")
+
+
+def _difference(d: Paired, scale: float, p: float, level: float) -> dict[str, Any]:
     """A cell; coloured where the difference is neither chance nor too small to matter."""
-    kind = _kind(difference, scale)
-    mark = {"less": " ▼", "more": " ▲"}.get(kind, "")
-    none = max(abs(difference.low), abs(difference.high)) < NONE * abs(scale)
-    return _cell(difference.value, "≈ 0" if none else facts.quantity(difference) + mark, kind)
+    i = d.difference
+    told = p < 1 - level and i.value * np.sign(d.effect) > MARGIN * abs(scale)
+    kind = _side(d.effect) if told else ""
+    none = max(abs(i.low), abs(i.high)) < NONE * abs(scale)
+    return _cell(i.value, "≈ 0" if none else facts.quantity(i) + MARKS[kind], kind, p)
 
 
-def _kind(difference: Interval, scale: float) -> str:
-    if not abs(difference.value) > RELEVANT * abs(scale):
-        return ""
-    return "less" if difference.high < 0 else "more" if difference.low > 0 else ""
+def _side(effect: float) -> str:
+    return "less" if effect < 0 else "more"
 
 
 def outside(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]) -> str:

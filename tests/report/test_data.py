@@ -54,15 +54,6 @@ def test_rmse_interval_is_that_of_the_mean_squared_error(pair):
     np.testing.assert_allclose(bare.high[-1] ** 2, bound, rtol=1e-12)
 
 
-def test_paired_differences(pair):
-    a, b = pair
-    result = data.paired(b, a)
-    difference = np.sqrt(b.group["mse"].values) - np.sqrt(a.group["mse"].values)
-    assert result.runs == 12
-    assert result.rmse[1] == mean_interval(difference[:, 1], 0.95)
-    assert data.paired(a, a).anees.value == 0
-
-
 def test_thinning_keeps_the_extremes():
     values = np.random.default_rng(0).standard_normal(10_000)
     values[5678], values[1234] = 50, -50

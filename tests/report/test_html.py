@@ -12,12 +12,12 @@ pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
 from estbench.consistency import chi_square_band, positive_mean_interval
-from estbench.report import data, sources, traces
+from estbench.report import data, pairs, sources, traces
 from estbench.report.html import render, write_report
 
 
 class Tables(HTMLParser):
-    """`cells[table id or baseline]`: rows of (text, data-value)."""
+    """`cells[table id or baseline]`: rows of (text, data-value, data-p if there is one)."""
 
     def __init__(self, page):
         super().__init__()
@@ -39,6 +39,8 @@ class Tables(HTMLParser):
             self.cells[self._name].append(self._row)
         if tag in ("td", "th") and self._row is not None:
             self._cell = ["", attrs.get("data-value")]
+            if "data-p" in attrs:
+                self._cell.append(attrs["data-p"])
             self._row.append(self._cell)
 
     def handle_endtag(self, tag):
@@ -120,11 +122,14 @@ def test_table_of_rmse(two):
 
 def test_table_of_differences(two):
     entries, tables, _, _ = two
-    for baseline, other in (entries, entries[::-1]):
-        pair = data.paired(other, baseline)
-        rows = tables.cells[f"baseline {baseline.key}"][1:]
-        expected = [pair.ratio, pair.anees.value, *(i.value for i in pair.rmse), pair.runs]
+    for d in pairs.differences(entries):
+        rows = tables.cells[f"baseline {d.baseline}"][1:]
+        expected = [
+            d.score.ratio.value, d.score.wilcoxon, d.score.sign, d.score.paired.less, d.cost,
+            d.nees.difference.value, *(q.difference.value for q in d.rmse), d.nees.runs,
+        ]  # fmt: skip
         assert [float(row[2][1]) for row in rows] == expected
+        assert [float(p) for _, _, p in (row[2] for row in rows[5:-1])] == d.p.tolist()
 
 
 def test_shown_numbers_are_the_full_ones_rounded(two):

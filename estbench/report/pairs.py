@@ -1,0 +1,94 @@
+"""Every two entries compared run by run, with the tests of `analysis.comparison`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.analysis.comparison import Pair, Paired, compare, holm, paired, score
+from estbench.consistency import Interval
+from estbench.report.sources import Entry
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.01
+"""A relative difference that is too small to matter, as in `estbench compare`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """One entry minus a baseline, over the runs that both have.
+
+    Attributes:
+        entry, baseline: keys.
+        cost: ratio.
+        score: over all coordinates, as `estbench compare` ranks: ratio of RMSE, Holm's p-values
+            over all pairs of entries, and whether the two are told apart.
+        nees: of the runs' NEES/n.
+        rmse: of the runs' RMSE, one a coordinate, in its unit.
+        p: Wilcoxon's p-values of NEES/n and each RMSE `(1 + n,)`, after Holm's correction over all
+            these quantities of all pairs.
+    """
+
+    entry: str
+    baseline: str
+    cost: float
+    score: Pair
+    nees: Paired
+    rmse: tuple[Paired, ...]
+    p: Array
+
+    def reversed(self) -> "Difference":
+        """The baseline minus the entry."""
+        return Difference(
+            self.baseline, self.entry, 1 / self.cost if self.cost else np.nan, _turned(self.score),
+            _negative(self.nees), tuple(map(_negative, self.rmse)), self.p,
+        )  # fmt: skip
+
+
+def differences(entries: Sequence[Entry]) -> list[Difference]:
+    """Each entry minus each other one, over the runs that all the sources have; [] if none."""
+    runs = reduce(np.intersect1d, [entry.source.runs for entry in entries])
+    if len(entries) < 2 or not len(runs):
+        return []
+    level = entries[0].source.level
+    values, scores = {}, {}
+    for entry in entries:
+        rows = np.isin(entry.source.runs, runs)
+        lost = ~entry.good[rows]
+        mse, nees = entry.record["mse"][rows], entry.record["anees"][rows]
+        scores[entry.key] = score(mse, lost)
+        table = np.concatenate([nees[:, None], np.sqrt(mse)], axis=1)
+        values[entry.key] = np.where(lost[:, None], np.inf, table)
+    pairs, _ = compare(scores, level, MARGIN)
+    found = [
+        [paired(x, y, level) for x, y in zip(values[a.key].T, values[b.key].T)]
+        for a, b in combinations(entries, 2)
+    ]
+    p = holm([q.wilcoxon for row in found for q in row]).reshape(len(found), -1)
+    out = []
+    for (a, b), pair, (nees, *rmse), adjusted in zip(
+        combinations(entries, 2), pairs, found, p, strict=True
+    ):
+        cost = a.summary.cost / b.summary.cost if b.summary.cost else np.nan
+        one = Difference(a.key, b.key, cost, pair, nees, tuple(rmse), adjusted)
+        out += [one, one.reversed()]
+    return out
+
+
+def _negative(p: Paired) -> Paired:
+    i = p.difference
+    return replace(
+        p, difference=Interval(-i.value, -i.high, -i.low), lost=-p.lost, less=p.more, more=p.less,
+        effect=-p.effect,
+    )  # fmt: skip
+
+
+def _turned(pair: Pair) -> Pair:
+    i = pair.ratio
+    with np.errstate(divide="ignore"):
+        ratio = Interval(*(float(np.divide(1, x)) for x in (i.value, i.high, i.low)))
+    return replace(pair, a=pair.b, b=pair.a, paired=_negative(pair.paired), ratio=ratio)
