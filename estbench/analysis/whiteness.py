@@ -5,6 +5,7 @@ leaves information in them, as one with too small a Q does, has them correlated 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from estbench.consistency import Interval, mean_interval
 Array = NDArray[np.float64]
 
 
-def portmanteau(products: Array, terms: Array) -> Array:
+def portmanteau(products: Array, terms: NDArray[Any]) -> Array:
     """Ljung & Box's statistic `(...)`, chi-square with `lag` degrees of freedom if white.
 
         Q = (N + 2)/N Σₗ Nₗ ρₗ²,    ρₗ = (Sₗ/Nₗ) / (S₀/N₀),    l = 1 ... h
@@ -55,7 +56,7 @@ class Whiteness:
     p: float
 
 
-def whiteness(products: Array, terms: Array, level: float = 0.95) -> Whiteness | None:
+def whiteness(products: Array, terms: NDArray[Any], level: float = 0.95) -> Whiteness | None:
     """Whiteness of runs' innovations, or None where there are no two of them in a run.
 
     Args:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import MissingExtraError
-from estbench.report import data, palette
+from estbench.report import data, innovations, palette
 from estbench.report.data import Rmse, Steps
+from estbench.report.innovations import Correlation
 from estbench.report.sources import Entry
 from estbench.report.traces import TraceStatistics
 
@@ -61,12 +62,16 @@ class Material:
     nees: list[Steps] = field(default_factory=list)
     nis: list[Steps] = field(default_factory=list)
     rmse: list[Rmse] = field(default_factory=list)
+    white: list[Correlation | None] = field(default_factory=list)
+    channels: list[dict[str, Correlation]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for entry, traces in zip(self.entries, self.traces):
             self.nees.append(data.nees_steps(entry))
             self.nis.append(data.nis_steps(entry))
             self.rmse.append(data.rmse_steps(entry, traces.fourth if traces else None))
+            self.white.append(innovations.whole(entry))
+            self.channels.append(innovations.by_channel(entry))
 
     @property
     def names(self) -> tuple[str, ...]:

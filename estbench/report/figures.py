@@ -22,7 +22,7 @@ def drawings(material: Material) -> dict[str, list[Drawing]]:
         "error": [],
         "coverage": [],
         "density": [],
-        "correlation": [],
+        "correlation": spreads.innovations(material),
     }
     if any(material.traces):
         out["error"] = [_run_nees(material), *(_error(material, i) for i in n)]
@@ -31,7 +31,7 @@ def drawings(material: Material) -> dict[str, list[Drawing]]:
             spreads.nees_density(material),
             *(spreads.error_density(material, i) for i in n),
         ]
-        out["correlation"] = [spreads.correlation(material)]
+        out["correlation"].append(spreads.correlation(material))
     return out
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import estbench
 from estbench.errors import MissingExtraError, StoreError
+from estbench.lags import LAGS
 from estbench.report import data, facts, pictures, tables, traces
 from estbench.report.drawing import Drawing, Material
 from estbench.report.figures import drawings
@@ -97,7 +98,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         version=estbench.__version__,
         notices=tables.notices(entries, statistics),
         sections=[s for s in SECTIONS if s[0] not in ("error", "coverage", "correlation")
-                  or has_traces],
+                  or figures[s[0]]],
         entries=[tables.entry(material, i) for i in range(len(entries))],
         rmse=tables.rmse(entries),
         baselines=tables.baselines(entries) if len(entries) > 1 else [],
@@ -117,6 +118,8 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         clips=clips,
         no_clips=problem,
         outside=tables.outside(entries, statistics),
+        white=tables.white(material),
+        lags=LAGS,
         lag_one="; ".join(f"{e.key} {facts.show(e.summary.lag_one)}" for e in entries),
         diverged=facts.diverged(entries, statistics),
         drawn=f"Statistics are over every run; {len(chosen)} runs are drawn." if chosen else "",

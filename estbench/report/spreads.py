@@ -1,6 +1,7 @@
 """The page's figures that are not over time: verdicts, coverage, densities, correlation, cost."""
 
 import hashlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy import stats
 from estbench.errors import MissingExtraError
 from estbench.report import palette
 from estbench.report.drawing import BAND, Drawing, Material, area, axes, drawing, line
+from estbench.report.innovations import Correlation
 from estbench.report.sources import Entry
 from estbench.report.traces import ERROR_EDGES, SIGMAS, TraceStatistics
 
@@ -149,7 +151,42 @@ def correlation(material: Material) -> Drawing:
     level = material.entries[0].source.level
     title = f"Autocorrelation of NIS, with the {level:.0%} band of independent innovations"
     layout = axes("lag (instants)", "correlation", zeroline=True)
-    return drawing("correlation", title, traces, layout, 280)
+    return drawing("nis-correlation", title, traces, layout, 280)
+
+
+def innovations(material: Material) -> list[Drawing]:
+    """Autocorrelation of the whitened innovations: of all together, then of each channel."""
+    level = material.entries[0].source.level
+    title = f"Autocorrelation of the whitened innovations, with the {level:.0%} band of white ones"
+    out = [_innovations("innovations", title, material, material.white, 280)]
+    names = dict.fromkeys(name for found in material.channels for name in found)
+    out += [
+        _innovations(
+            f"innovations-{i}", name, material, [c.get(name) for c in material.channels], 220
+        )
+        for i, name in enumerate(names)
+    ]
+    return [d for d in out if d.traces]
+
+
+def _innovations(
+    name: str, title: str, material: Material, found: Sequence[Correlation | None], height: int
+) -> Drawing:
+    traces: list[Any] = []
+    for k, (entry, one) in enumerate(zip(material.entries, found, strict=True)):
+        if one is None:
+            continue
+        lags = np.arange(1, len(one.band) + 1)
+        same = hashlib.sha1(one.band.tobytes()).hexdigest()[:12]
+        traces += area(lags, -one.band, one.band, BAND, {"entry": entry.key, "band": same})
+        traces.append(
+            line(
+                k, lags, [c.value for c in one.found.correlation], entry.key,
+                meta={"entry": entry.key, "role": "innovations"},
+            ).update(mode="lines+markers", marker={"size": 4, "color": palette.colour(k)})
+        )  # fmt: skip
+    layout = axes("lag (readings of a channel)", "correlation", zeroline=True)
+    return drawing(name, title, traces, layout, height)
 
 
 def cost(material: Material) -> Drawing:
@@ -164,4 +201,4 @@ def cost(material: Material) -> Drawing:
     ]  # fmt: skip
     layout = axes("µs of one core for each run and step", "")
     layout["yaxis"] |= {"automargin": True, "autorange": "reversed"}
-    return drawing("cost", "Cost per step", traces, layout, 90 + 30 * len(material.entries))
+    return drawing("step-cost", "Cost per step", traces, layout, 90 + 30 * len(material.entries))

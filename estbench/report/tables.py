@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired
-from estbench.analysis.tables import bounds, probability
+from estbench.analysis.tables import bounds, percent, probability
 from estbench.report import facts, palette
 from estbench.report.drawing import Material
 from estbench.report.pairs import MARGIN, differences
@@ -129,6 +129,17 @@ def outside(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | Non
         f"Single values outside the {level:.0%} band of one run ({1 - level:.0%} expected): "
         f"{'; '.join(parts)}."
     )
+
+
+def white(material: Material) -> list[dict[str, Any]]:
+    """Rows of the table of Ljung and Box's test; none where no store kept lag products."""
+    rows = []
+    for entry, one, channels in zip(material.entries, material.white, material.channels):
+        for name, found in ((("all", one),) if one else ()) + tuple(channels.items()):
+            rejected, p = found.found.rejected, found.found.p
+            cells = [_cell(rejected.value, percent(rejected)), _cell(p, probability(p))]
+            rows.append({"key": entry.key, "channel": name, "cells": cells})
+    return rows
 
 
 def notices(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]) -> list[str]:

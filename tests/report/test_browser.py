@@ -53,7 +53,7 @@ def open_page(browser, page, width):
 def test_everything_is_drawn_without_errors_or_requests(browser, page, width):
     open_page(browser, page, width)
     drawn = browser.ask(DRAWN)
-    assert len(drawn) == browser.ask("document.querySelectorAll('.plot').length") == 16
+    assert len(drawn) == browser.ask("document.querySelectorAll('.plot').length") >= 16
     assert [d["id"] for d in drawn if not d["traces"] or not d["marks"]] == []
     assert all(0 < d["width"] <= width for d in drawn)
     assert browser.ask("document.documentElement.scrollWidth") <= width  # nothing sticks out

@@ -22,11 +22,13 @@ class Tables(HTMLParser):
     def __init__(self, page):
         super().__init__()
         self.cells, self._name, self._row, self._cell = {}, None, None, None
-        self.ids, self.words = set(), []
+        self.ids, self.words, self.twice = set(), [], []
         self.feed(page)
 
     def handle_starttag(self, tag, attrs):
         attrs = dict(attrs)
+        if "id" in attrs and attrs["id"] in self.ids:
+            self.twice.append(attrs["id"])
         self.ids.add(attrs.get("id"))
         if "data-baseline" in attrs:
             self._name = f"baseline {attrs['data-baseline']}"
@@ -191,9 +193,9 @@ def test_coverage_and_densities(two):
         for i in range(entry.source.n):
             density = trace(page, f"density-{i}", entry.key, role="density")
             np.testing.assert_array_equal(numbers(density["y"]), found.errors[i])
-        line = trace(page, "correlation", entry.key, role="correlation")
+        line = trace(page, "nis-correlation", entry.key, role="correlation")
         np.testing.assert_array_equal(numbers(line["y"]), found.correlation[1:])
-        cost = trace(page, "cost", entry.key)
+        cost = trace(page, "step-cost", entry.key)
         np.testing.assert_array_equal(numbers(cost["x"]), [entry.summary.cost])
 
 
@@ -211,6 +213,7 @@ def test_runs_are_the_stored_ones(two):
 def test_the_page_is_whole_and_small(two):
     _, tables, page, text = two
     assert set(page["drawings"]) <= tables.ids
+    assert tables.twice == []
     assert len(text) < 8e6
     own = text.replace(text[text.index("<script>") : text.rindex("<script>")], "")
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]*"', own)
@@ -223,8 +226,8 @@ def test_a_summary_says_what_needs_traces(entries, tmp_path):
     tables = Tables(page)
     words = " ".join(tables.words)
     assert "need `estbench run --keep diagonal`" in words
-    assert {"nees", "nis", "rmse-0", "cost"} <= tables.ids
-    assert not {"error-0", "coverage-1", "correlation"} & tables.ids
+    assert {"nees", "nis", "rmse-0", "step-cost", "innovations"} <= tables.ids
+    assert not {"error-0", "coverage-1", "nis-correlation"} & tables.ids
     assert page_data(page)["runs"] == {}
 
 
