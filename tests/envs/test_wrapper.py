@@ -2,6 +2,9 @@
 # pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import json
 import logging
+import os
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -17,6 +20,11 @@ from estbench.envs.errors import EnvError
 from estbench.errors import CovarianceError, DimensionError, EstimatorError, ScenarioError
 
 FREE = "<mujoco/>"
+ROBOTS = (
+    "InvertedPendulum", "InvertedDoublePendulum", "Reacher", "Pusher", "Swimmer", "HalfCheetah",
+    "Hopper", "Walker2d", "Ant", "Humanoid", "HumanoidStandup",
+)  # fmt: skip
+OTHERS = ("state", "belief", "covariance", "raw")
 SLIDE = {"slider_encoder": {"type": "jointpos", "object": "slider", "noise": 0.02}}
 
 
@@ -138,8 +146,13 @@ def test_the_filter_is_consistent_where_nothing_touches(name):
     assert abs(np.mean(nees) - 1) < 4 * np.std(nees) / np.sqrt(40) + 0.05
 
 
-@pytest.mark.parametrize("observe", ["env", "state", "belief", "covariance", "raw"])
-@pytest.mark.parametrize("name", ["InvertedPendulum", "Ant"])
+@pytest.mark.parametrize(
+    ("name", "observe"),
+    [
+        *((name, "env") for name in ROBOTS),
+        *((name, observe) for name in ("InvertedPendulum", "Ant") for observe in OTHERS),
+    ],
+)
 def test_check_env(name, observe):
     env = wrapped(name, estimator="ekf", observe=observe)
     with warnings.catch_warnings(record=True) as bare:
@@ -164,7 +177,41 @@ def test_spec_round_trips_through_json():
         np.testing.assert_array_equal(a[0], b[0])
 
 
-def test_gymnasium_wrappers_compose(tmp_path):
+RECORDED = """
+import sys
+import gymnasium as gym
+from gymnasium import wrappers
+from estbench.envs import EstimatedObservation
+
+env = EstimatedObservation(gym.make("Reacher-v5", render_mode="rgb_array"), estimator="ekf")
+env = wrappers.RecordVideo(wrappers.TimeLimit(env, 5), sys.argv[1], disable_logger=True)
+env.reset(seed=0)
+while not env.step(env.action_space.sample())[3]:
+    pass
+env.close()
+"""
+
+
+def test_record_video(tmp_path):
+    """In a process of its own: Gymnasium's renderer takes MUJOCO_GL as it is at the start."""
+    pytest.importorskip("moviepy")
+    bare = RECORDED.replace("EstimatedObservation(", "").replace(', estimator="ekf")', "")
+    found = {}
+    for name, program in (("bare", bare), ("wrapped", RECORDED)):
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(tmp_path / name)],
+            env={**os.environ, "MUJOCO_GL": "osmesa"},
+            capture_output=True,
+            text=True,
+        )
+        found[name] = done
+    if found["bare"].returncode:
+        pytest.skip("Gymnasium draws nothing here: apt-get install libosmesa6")
+    assert not found["wrapped"].returncode, found["wrapped"].stderr[-500:]
+    assert len(list((tmp_path / "wrapped").glob("*.mp4"))) == 1
+
+
+def test_gymnasium_wrappers_compose():
     env = wrapped("Reacher", estimator="ekf")
     env = wrappers.TimeLimit(env, 7)
     env = wrappers.RecordEpisodeStatistics(env)
