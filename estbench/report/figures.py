@@ -104,6 +104,6 @@ def _run_nees(material: Material) -> Drawing:
         bind = {"field": "nees", "row": 0, "scale": 1}
         meta = {"entry": entry.key, "bind": bind, "role": "nees"}
         traces.append(line(k, [], [], entry.key, meta=meta, line={"width": 1.3}))
-    layout = axes("time (s)", "NEES/n of the run")
+    layout = axes("time (s)", "NEES/n of the run", type="log")
     title = f"NEES/n of the run, with the {source.level:.0%} band of a single run"
-    return drawing("run-nees", title, traces, layout, 230, time=True)
+    return drawing("run-nees", title, traces, layout, 230, time=True, trim=True)

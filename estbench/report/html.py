@@ -27,6 +27,8 @@ except ImportError:
 
 SHOWN_ENTRIES, SHOWN_COORDINATES = 4, 8
 """How many are drawn before the reader chooses."""
+NAMED = 6
+"""How many estimators the page's title names."""
 SECTIONS = (
     ("verdicts", "Verdicts"), ("scenario", "Scenario"), ("comparison", "Comparison"),
     ("error", "Error"), ("consistency", "Consistency"), ("rmse", "RMSE"),
@@ -93,7 +95,8 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
     steps = max(len(source.times) for source in sources)
     return template.render(
         title=", ".join(dict.fromkeys(s.scenario.name for s in sources))
-        + f": {', '.join(e.key for e in entries)}",
+        + (f": {', '.join(e.key for e in entries)}" if len(entries) <= NAMED
+           else f": {len(entries)} estimators"),
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=estbench.__version__,
         notices=tables.notices(entries, statistics),
@@ -103,6 +106,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         rmse=tables.rmse(entries),
         baselines=tables.baselines(entries) if len(entries) > 1 else [],
         names=first.names,
+        many=len(entries) > max(3, len(first.names)),
         units=first.units,
         level=f"{first.level:.0%}",
         chance=f"{1 - first.level:.0%}",
@@ -120,7 +124,6 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         outside=tables.outside(entries, statistics),
         white=tables.white(material),
         lags=LAGS,
-        lag_one="; ".join(f"{e.key} {facts.show(e.summary.lag_one)}" for e in entries),
         diverged=facts.diverged(entries, statistics),
         drawn=f"Statistics are over every run; {len(chosen)} runs are drawn." if chosen else "",
         css=_raw(text("page.css").read_text("utf-8")),

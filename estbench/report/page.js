@@ -77,7 +77,7 @@
       }
     }
     if (!isFinite(low)) return null;
-    if (log) { low = Math.log10(low); high = Math.log10(high); }
+    if (log) { low = Math.log10(Math.max(low, 1e-5 * high)); high = Math.log10(high); }
     const pad = 0.06 * (high - low) || 0.5;
     return [low - pad, high + pad];
   }
@@ -95,7 +95,7 @@
       modebar: { bgcolor: "rgba(0,0,0,0)", color: look.line, activecolor: look.ink },
       dragmode: window.matchMedia("(pointer: coarse)").matches ? false : "zoom",
       xaxis: { ...axis, ...given.xaxis }, yaxis: { ...axis, ...given.yaxis } };
-    if (out.yaxis.type === "log") out.yaxis.dtick = "D2";
+    for (const axis of [out.xaxis, out.yaxis]) if (axis.type === "log") axis.dtick = "D2";
     if (drawing.time) {
       out.xaxis.range = state.range || page.span;
       out.yaxis.fixedrange = true;
@@ -150,6 +150,18 @@
     $("from").value = (range || page.span)[0].toPrecision(4) / 1;
     $("to").value = (range || page.span)[1].toPrecision(4) / 1;
     redraw((drawing) => drawing.time);
+  }
+
+  // The browser's own controls would lie on the chart under the picture.
+  for (const button of document.querySelectorAll(".play")) {
+    const video = button.closest("figure").querySelector("video");
+    const toggle = () => { if (video.paused) video.play(); else video.pause(); };
+    const show = () => {
+      button.textContent = video.paused ? "▶" : "❚❚";
+      button.setAttribute("aria-label", (video.paused ? "play: " : "pause: ") + video.ariaLabel);
+    };
+    for (const target of [button, video]) target.addEventListener("click", toggle);
+    for (const event of ["play", "pause"]) video.addEventListener(event, show);
   }
 
   // A click on a time shows that time in the videos.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from estbench.analysis.tables import number
 from estbench.errors import MissingExtraError
 from estbench.report import palette
 from estbench.report.drawing import BAND, Drawing, Material, area, axes, drawing, line
@@ -194,7 +195,8 @@ def cost(material: Material) -> Drawing:
     traces = [
         go.Bar(
             x=[entry.summary.cost], y=[entry.key], orientation="h", name=entry.key,
-            marker={"color": palette.colour(k)}, text=[f"{entry.summary.cost:.3g}"],
+            marker={"color": palette.colour(k)}, text=[number(entry.summary.cost)],
+            textposition="outside", cliponaxis=False,
             showlegend=False, meta={"entry": entry.key, "role": "cost", "always": True},
         )
         for k, entry in enumerate(material.entries)

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired
-from estbench.analysis.tables import bounds, percent, probability
+from estbench.analysis.tables import bounds, number, percent, probability
 from estbench.report import facts, palette
 from estbench.report.drawing import Material
+from estbench.report.innovations import Correlation
 from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.report.traces import TraceStatistics
@@ -40,7 +41,7 @@ def entry(material: Material, i: int) -> dict[str, Any]:
             _cell(s.anis.value, facts.show(s.anis)),
             _cell(s.lag_one.value, facts.show(s.lag_one)),
             _cell(s.diverged, f"{s.diverged:.1%}"),
-            _cell(s.cost, f"{s.cost:.3g}"),
+            _cell(s.cost, number(s.cost)),
             _cell(nees.outside, f"{nees.outside:.1%}"),
             _cell(nis.outside, f"{nis.outside:.1%}"),
         ],
@@ -117,29 +118,38 @@ def _side(effect: float) -> str:
     return "less" if effect < 0 else "more"
 
 
-def outside(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]) -> str:
-    """How many single values lie outside the band of one run, in a sentence."""
-    level = entries[0].source.level
-    parts = [
-        f"{e.key} NEES {t.outside[0]:.1%}, NIS {t.outside[1]:.1%}"
+def outside(
+    entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]
+) -> list[dict[str, Any]]:
+    """Rows of the table of single values of NEES and NIS outside the band of one run."""
+    return [
+        {"key": e.key, "cells": [_cell(share, f"{share:.1%}") for share in t.outside]}
         for e, t in zip(entries, statistics)
         if t is not None
     ]
-    return (
-        f"Single values outside the {level:.0%} band of one run ({1 - level:.0%} expected): "
-        f"{'; '.join(parts)}."
-    )
 
 
-def white(material: Material) -> list[dict[str, Any]]:
-    """Rows of the table of Ljung and Box's test; none where no store kept lag products."""
+def white(material: Material) -> dict[str, Any]:
+    """The table of lag-one correlations and of Ljung and Box's test, whole and by channel."""
+    names = list(dict.fromkeys(name for found in material.channels for name in found))
+    if any(material.white):
+        names.insert(0, "all channels" if names else "")
     rows = []
     for entry, one, channels in zip(material.entries, material.white, material.channels):
-        for name, found in ((("all", one),) if one else ()) + tuple(channels.items()):
-            rejected, p = found.found.rejected, found.found.p
-            cells = [_cell(rejected.value, percent(rejected)), _cell(p, probability(p))]
-            rows.append({"key": entry.key, "channel": name, "cells": cells})
-    return rows
+        lag_one = entry.summary.lag_one
+        cells = [_cell(lag_one.value, facts.show(lag_one))]
+        for name in names:
+            found = one if name in ("", "all channels") else channels.get(name)
+            cells += _test(found)
+        rows.append({"key": entry.key, "cells": cells})
+    return {"groups": names, "rows": rows}
+
+
+def _test(found: Correlation | None) -> list[dict[str, Any]]:
+    if found is None:
+        return [_cell(np.nan, "–"), _cell(np.nan, "–")]
+    rejected, p = found.found.rejected, found.found.p
+    return [_cell(rejected.value, percent(rejected)), _cell(p, probability(p))]
 
 
 def notices(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]) -> list[str]:
