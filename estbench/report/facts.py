@@ -51,7 +51,8 @@ class Facts:
 def verdict(entry: Entry, steps: Steps) -> str:
     """What to think of one estimator, in a sentence or two."""
     s = entry.summary
-    nees = f"NEES/n is {interval(s.anees)} over {s.runs - round(s.diverged * s.runs)} runs"
+    good = s.runs - round(s.diverged * s.runs)
+    nees = f"NEES/n is {interval(s.anees)} over {good} runs"
     percent = f"{s.diverged:.1%} of {s.runs} runs diverged"
     sentences = {
         Verdict.CONSISTENT: f"{nees}: its errors are as large as its covariance says.",
@@ -65,7 +66,7 @@ def verdict(entry: Entry, steps: Steps) -> str:
             f"{nees}: its errors are only {math.sqrt(max(s.anees.value, 0)):.3g} times as large as "
             "its covariance says."
         ),
-        Verdict.DIVERGING: f"{percent}; of the others, {nees}.",
+        Verdict.DIVERGING: f"{percent}; of the others, {nees}." if good else f"{percent}.",
         Verdict.UNDECIDED: f"{nees}, too few to say more.",
     }
     text = sentences[s.verdict]
@@ -237,4 +238,5 @@ def quantity(i: Interval) -> str:
         return f"{i.value:.3g} ± {half:.1g}"
     decimals = -math.floor(math.log10(half))
     decimals = max(0, decimals + (half * 10**decimals < 2))  # a leading 1 gets one digit more
-    return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
+    shown = round(i.value, decimals) + 0.0  # no negative zero
+    return f"{shown:.{decimals}f} ± {half:.{decimals}f}"

@@ -64,7 +64,9 @@
 
   // The y range of what is visible between two times, so that a zoom in time fills the height.
   // Of a whole run the first instants, where the prior is forgotten, do not set the range.
+  // On a logarithmic axis the least hundredth, where a curve crosses zero, does not set it either.
   function fit(traces, range, log, trim) {
+    const seen = [];
     let low = Infinity, high = -Infinity;
     if (trim) range = [range[0] + 0.06 * (range[1] - range[0]), range[1]];
     for (const trace of traces) {
@@ -72,12 +74,16 @@
       for (let i = 0; i < x.length; i++) {
         const v = y[i];
         if (x[i] < range[0] || x[i] > range[1] || !isFinite(v) || (log && v <= 0)) continue;
+        if (log) seen.push(v);
         if (v < low) low = v;
         if (v > high) high = v;
       }
     }
     if (!isFinite(low)) return null;
-    if (log) { low = Math.log10(Math.max(low, 1e-5 * high)); high = Math.log10(high); }
+    if (log) {
+      low = Math.log10(seen.sort((a, b) => a - b)[Math.floor(0.01 * seen.length)]);
+      high = Math.log10(high);
+    }
     const pad = 0.06 * (high - low) || 0.5;
     return [low - pad, high + pad];
   }
@@ -95,13 +101,16 @@
       modebar: { bgcolor: "rgba(0,0,0,0)", color: look.line, activecolor: look.ink },
       dragmode: window.matchMedia("(pointer: coarse)").matches ? false : "zoom",
       xaxis: { ...axis, ...given.xaxis }, yaxis: { ...axis, ...given.yaxis } };
-    for (const axis of [out.xaxis, out.yaxis]) if (axis.type === "log") axis.dtick = "D2";
     if (drawing.time) {
       out.xaxis.range = state.range || page.span;
       out.yaxis.fixedrange = true;
       const log = out.yaxis.type === "log";
       const range = (state.range || drawing.trim) && fit(traces, state.range || page.span, log, !state.range);
       if (range) { out.yaxis.range = range; out.yaxis.autorange = false; }
+    }
+    if (out.yaxis.type === "log") {
+      const range = out.yaxis.range || fit(traces, [-Infinity, Infinity], true, false) || [0, 1];
+      out.yaxis.dtick = range[1] - range[0] < 2 ? "D2" : Math.ceil((range[1] - range[0]) / 6);
     }
     return out;
   }

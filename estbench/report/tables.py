@@ -25,6 +25,10 @@ def _cell(value: float, shown: str, kind: str = "", p: float | None = None) -> d
     return cell if p is None else cell | {"p": repr(float(p)), "p_shown": probability(p)}
 
 
+def _share(value: float) -> dict[str, Any]:
+    return _cell(value, f"{value:.1%}" if np.isfinite(value) else "–")
+
+
 def entry(material: Material, i: int) -> dict[str, Any]:
     """Row of the table of verdicts."""
     entry = material.entries[i]
@@ -37,13 +41,13 @@ def entry(material: Material, i: int) -> dict[str, Any]:
         "sentence": facts.verdict(entry, nees),
         "cells": [
             _cell(s.anees.value, facts.show(s.anees)),
-            _cell(s.anees_median, f"{s.anees_median:.3f}"),
+            _cell(s.anees_median, number(s.anees_median, 3)),
             _cell(s.anis.value, facts.show(s.anis)),
             _cell(s.lag_one.value, facts.show(s.lag_one)),
             _cell(s.diverged, f"{s.diverged:.1%}"),
             _cell(s.cost, number(s.cost)),
-            _cell(nees.outside, f"{nees.outside:.1%}"),
-            _cell(nis.outside, f"{nis.outside:.1%}"),
+            _share(nees.outside),
+            _share(nis.outside),
         ],
     }
 
@@ -58,7 +62,7 @@ def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
             s = entry.summary
             cells += [
                 _cell(s.rmse[i].value, facts.quantity(s.rmse[i])),
-                _cell(s.std[i], f"{s.std[i]:.3g}"),
+                _cell(s.std[i], number(s.std[i])),
             ]
         rows.append({"name": name, "unit": unit, "cells": cells})
     return rows
@@ -77,7 +81,7 @@ def baselines(entries: Sequence[Entry]) -> list[dict[str, Any]]:
             ("p, Wilcoxon", "Holm", [_p(d.score.wilcoxon) for d in pairs]),
             ("p, sign test", "Holm", [_p(d.score.sign) for d in pairs]),
             ("runs less / more / same", "", [_counts(d.score.paired) for d in pairs]),
-            ("cost", "ratio", [_cell(d.cost, f"{d.cost:.3g}") for d in pairs]),
+            ("cost", "ratio", [_cell(d.cost, number(d.cost)) for d in pairs]),
             ("NEES/n", "", [_difference(d.nees, b.anees.value, d.p[0], level) for d in pairs]),
         ]
         for i, (name, unit) in enumerate(zip(names, units)):
@@ -123,7 +127,7 @@ def outside(
 ) -> list[dict[str, Any]]:
     """Rows of the table of single values of NEES and NIS outside the band of one run."""
     return [
-        {"key": e.key, "cells": [_cell(share, f"{share:.1%}") for share in t.outside]}
+        {"key": e.key, "cells": [_share(share) for share in t.outside]}
         for e, t in zip(entries, statistics)
         if t is not None
     ]

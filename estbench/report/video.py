@@ -195,9 +195,7 @@ class Chart:
         self._curve(pen, step + 1, _LINE)
         column = float(self.x(self.run.times[step])) * f
         pen.line([(column, self.top * f), (column, self.bottom * f)], fill=_CURSOR, width=f)
-        value = self.run.nees[step]
-        shown = f"{value:.3g}" if np.isfinite(value) else "failed"
-        text = f"t = {self.run.times[step]:.2f} s   NEES/n = {shown}"
+        text = _moment(self.run.times[step], self.run.nees[step])
         pen.text((self.right * f, 1.5 * f), text, fill=_INK, font=self._font, anchor="rt")
         return np.asarray(image.resize(self._size, Image.Resampling.BOX))
 
@@ -206,13 +204,20 @@ class Chart:
         if len(points) > 1:
             pen.line(points, fill=colour, width=round(1.2 * _FINE), joint="curve")
 
+    def _title(self) -> str:
+        """What is shown, as long as it leaves room for the time and NEES of a frame."""
+        run = self.run
+        short = f"{run.label}, run {run.run}"
+        room = (self.right - self.left) * _FINE - self._font.getlength(_moment(-999.99, 1.23e-10))
+        titles = (f"{run.name}: {short} (grey: {run.level:.0%})", f"{run.name}: {short}", short)
+        return next((t for t in titles if self._font.getlength(t) < room), "")
+
     def _axes(self, pen: "ImageDraw.ImageDraw") -> None:
         f, run = _FINE, self.run
         band = [float(self.y(v)) * f for v in run.band]
         pen.rectangle([self.left * f, band[1], self.right * f, band[0]], fill=_BAND)
         self._curve(pen, len(run.times), _FUTURE)
-        title = f"{run.name}: {run.label}, run {run.run} (grey: {run.level:.0%})"
-        pen.text((self.left * f, 1.5 * f), title, fill=_INK, font=self._font, anchor="lt")
+        pen.text((self.left * f, 1.5 * f), self._title(), fill=_INK, font=self._font, anchor="lt")
         for power in range(math.ceil(self._log[0]), math.floor(self._log[1]) + 1):
             row = float(self.y(10.0**power)) * f
             pen.line([(self.left * f, row), (self.right * f, row)], fill=_SOFT, width=1)
@@ -237,6 +242,14 @@ class Chart:
             [(self.left * f, self.bottom * f), (self.right * f, self.bottom * f)], fill=_SOFT,
             width=f,
         )  # fmt: skip
+
+
+def _moment(time: float, nees: float) -> str:
+    return (
+        f"t = {time:.2f} s   NEES/n = {nees:.3g}"
+        if np.isfinite(nees)
+        else f"t = {time:.2f} s   failed"
+    )
 
 
 def _font(size: int) -> "ImageFont.FreeTypeFont | ImageFont.ImageFont":
