@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -12,8 +13,9 @@ pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
 from estbench.consistency import chi_square_band, positive_mean_interval
-from estbench.report import data, pairs, sources, traces
+from estbench.report import data, innovations, pairs, sources, traces
 from estbench.report.html import render, write_report
+from estbench.statistics import summarize
 
 
 class Tables(HTMLParser):
@@ -197,6 +199,65 @@ def test_coverage_and_densities(two):
         np.testing.assert_array_equal(numbers(line["y"]), found.correlation[1:])
         cost = trace(page, "step-cost", entry.key)
         np.testing.assert_array_equal(numbers(cost["x"]), [entry.summary.cost])
+
+
+def test_shares_outside_the_band_of_one_run(two):
+    entries, tables, _, _ = two
+    for entry, row in zip(entries, tables.cells["table-outside"][1:], strict=True):
+        found = traces.statistics(entry)
+        assert found is not None
+        assert [float(value) for _, value in row[1:]] == list(found.outside)
+
+
+def test_whiteness(two):
+    entries, tables, page, _ = two
+    for entry, row in zip(entries, tables.cells["table-white"][1:], strict=True):
+        found = innovations.whole(entry)
+        assert found is not None
+        expected = [entry.summary.lag_one.value, found.found.rejected.value, found.found.p]
+        assert [float(value) for _, value in row[1:]] == expected
+        line = trace(page, "innovations", entry.key, role="innovations")
+        expected = [i.value for i in found.found.correlation]
+        np.testing.assert_array_equal(numbers(line["y"]), expected)
+        band = numbers(trace(page, "innovations", entry.key, side="high")["y"])
+        np.testing.assert_array_equal(band, found.band)
+
+
+def test_many_estimators_have_a_row_each(two):
+    entries, _, _, _ = two
+    many = [replace(e, key=f"{e.key}{i}") for i in range(2) for e in entries]
+    tables = Tables(render(many, video=False))
+    source = entries[0].source
+    header, *rows = tables.cells["table-rmse"]
+    assert [c[0] for c in header[1::2]] == [f"{n}, {u}" for n, u in zip(source.names, source.units)]
+    for entry, row in zip(many, rows, strict=True):
+        assert row[0][0] == entry.key
+        expected = [
+            v for i in range(2) for v in (entry.summary.rmse[i].value, entry.summary.std[i])
+        ]
+        assert [float(value) for _, value in row[1:]] == expected
+    key = many[1].key
+    header, *rows = tables.cells[f"baseline {key}"]
+    assert [row[0][0] for row in rows] == [e.key for e in many if e.key != key]
+    found = {d.entry: d for d in pairs.differences(many) if d.baseline == key}
+    column = [c[0] for c in header].index("hinge, rad")
+    for row in rows:
+        d = found[row[0][0]]
+        assert float(row[column][1]) == d.rmse[0].difference.value
+        assert float(row[column][2]) == d.p[1]
+
+
+def test_an_estimator_that_lost_every_run_has_dashes(two):
+    entries, _, _, _ = two
+    record = {**entries[1].record, "diverged": np.ones_like(entries[1].record["diverged"])}
+    source = entries[1].source
+    summary = summarize("ukf", record, list(source.runs), source.times, source.scenario.consistency)
+    lost = replace(entries[1], record=record, summary=summary)
+    page = render([entries[0], lost], video=False)
+    shown = [cell[0] for table in Tables(page).cells.values() for row in table for cell in row]
+    assert "–" in shown
+    assert not [text for text in shown if "nan" in text]
+    assert "100.0% of 12 runs diverged." in page
 
 
 def test_runs_are_the_stored_ones(two):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,17 @@ def test_the_charts_cursor_is_at_the_frames_time(run):
         middle = picture[(chart.top + chart.bottom) // 2]
         orange = (middle[:, 0] - middle[:, 2] > 60).nonzero()[0]
         assert orange.mean() == pytest.approx(float(chart.x(run.times[step])), abs=1.5)
+
+
+@pytest.mark.parametrize("width", [64, 320, 640])
+def test_the_charts_title_leaves_room_for_the_time(run, width):
+    for label in ("ekf", "an_estimator_with_a_long_name"):
+        chart = video.Chart(replace(run, label=label), width, 60)
+        title, moment = (
+            chart._font.getlength(t) for t in (chart._title(), "t = 10.00 s   NEES/n = 0.123")
+        )
+        assert title == 0 or title + moment < 2 * (chart.right - chart.left)
+    assert video.Chart(run, 640, 60)._title() == "pendulum: ekf, run 1 (grey: 95%)"
 
 
 @needs_gl
