@@ -218,7 +218,10 @@ class Chart:
         pen.rectangle([self.left * f, band[1], self.right * f, band[0]], fill=_BAND)
         self._curve(pen, len(run.times), _FUTURE)
         pen.text((self.left * f, 1.5 * f), self._title(), fill=_INK, font=self._font, anchor="lt")
-        for power in range(math.ceil(self._log[0]), math.floor(self._log[1]) + 1):
+        low, high = math.ceil(self._log[0]), math.floor(self._log[1])
+        decade = (self.bottom - self.top) / (self._log[1] - self._log[0])
+        apart = max(1, math.ceil(1.2 * max(10, round(self._size[1] / 8)) / decade))
+        for power in range(low - low % -apart, high + 1, apart):
             row = float(self.y(10.0**power)) * f
             pen.line([(self.left * f, row), (self.right * f, row)], fill=_SOFT, width=1)
             pen.text(

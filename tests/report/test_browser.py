@@ -110,6 +110,21 @@ def test_zoom_is_shared_in_time(browser, page):
     )
 
 
+def test_a_clip_is_played_by_its_button(browser, page):
+    open_page(browser, page, 1280)
+    if not browser.ask("document.querySelectorAll('video').length"):
+        pytest.skip("no clips: nothing can be drawn here")
+    button = "document.querySelector('.play')"
+    label = f"{button}.getAttribute('aria-label')"
+    assert browser.ask(label).startswith("play: The best run")
+    browser.ask(f"{button}.click()")
+    browser.wait("document.querySelector('video').currentTime > 0")
+    assert browser.ask(label).startswith("pause: The best run")
+    browser.ask(f"{button}.click()")
+    browser.wait("document.querySelector('video').paused")
+    assert browser.errors == []
+
+
 def test_light_and_dark(browser, page):
     open_page(browser, page, 1280)
     colours = []
