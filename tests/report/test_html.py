@@ -13,9 +13,11 @@ pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
 from estbench.consistency import chi_square_band, positive_mean_interval
+from estbench.records import SUMMARY
 from estbench.report import data, innovations, pairs, sources, traces
 from estbench.report.html import render, write_report
 from estbench.statistics import summarize
+from tests.report.conftest import needs_lags
 
 
 class Tables(HTMLParser):
@@ -209,6 +211,7 @@ def test_shares_outside_the_band_of_one_run(two):
         assert [float(value) for _, value in row[1:]] == list(found.outside)
 
 
+@needs_lags
 def test_whiteness(two):
     entries, tables, page, _ = two
     for entry, row in zip(entries, tables.cells["table-white"][1:], strict=True):
@@ -287,7 +290,8 @@ def test_a_summary_says_what_needs_traces(entries, tmp_path):
     tables = Tables(page)
     words = " ".join(tables.words)
     assert "need `estbench run --keep diagonal`" in words
-    assert {"nees", "nis", "rmse-0", "step-cost", "innovations"} <= tables.ids
+    assert {"nees", "nis", "rmse-0", "step-cost"} <= tables.ids
+    assert ("innovations" in tables.ids) == ("lags" in SUMMARY)
     assert not {"error-0", "coverage-1", "nis-correlation"} & tables.ids
     assert page_data(page)["runs"] == {}
 
