@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError
 from estbench.report.scene import add_belief, plain, pose
+from estbench.report.window import start
 
 Array = NDArray[np.float64]
 
@@ -124,12 +125,16 @@ def context(width: int, height: int) -> Any:
                 from mujoco.egl import GLContext
             else:
                 from mujoco.glfw import GLContext
+
+                start("unset MUJOCO_GL")
             return GLContext(width, height)
         except Exception as error:  # each library fails in its own way
             tried.append(f"{name}: {' '.join(str(error).split())[:120] or type(error).__name__}")
     reason = f" ({'; '.join(tried)})" if tried else ""
+    chosen = _wanted()
+    what = f"MUJOCO_GL={chosen} does not work" if chosen else "neither OSMesa nor EGL works"
     raise RenderError(
-        "nothing can be drawn here: neither OSMesa nor EGL works; install one, e.g. "
+        f"nothing can be drawn here: {what}; {'unset it, or ' if chosen else ''}install one, e.g. "
         f"apt-get install libosmesa6 (or libegl1 with a graphics driver){reason}"
     )
 
@@ -161,10 +166,15 @@ def png(pixels: NDArray) -> bytes:
     )
 
 
+def _wanted() -> str:
+    """The backend that MUJOCO_GL names, or "" where it leaves the choice to us."""
+    name = os.environ.get("MUJOCO_GL", "").lower().strip()
+    return name if name in ("osmesa", "egl", "glfw") else ""
+
+
 def _candidates() -> list[str]:
     """Names to try: PyOpenGL takes one platform a process, so only what has its library."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if wanted in ("osmesa", "egl", "glfw"):
+    if wanted := _wanted():
         return [wanted]
     fixed = os.environ.get("PYOPENGL_PLATFORM") if "OpenGL" in sys.modules else None
     if fixed in ("osmesa", "egl"):

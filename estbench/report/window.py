@@ -41,7 +41,7 @@ class Window:
         camera: mujoco.MjvCamera,
         key: Callable[[int], None] | None = None,
     ):
-        _start(remedy)
+        start(remedy)
         import mujoco.viewer
 
         before = set(threading.enumerate())
@@ -65,8 +65,15 @@ class Window:
             thread.join(5.0)
 
 
-def _start(remedy: str) -> None:
-    """Start GLFW, here: in the viewer's thread its failure would be waited for for ever."""
+def start(remedy: str) -> None:
+    """Start GLFW, here: in the viewer's thread its failure would be waited for for ever.
+
+    Args:
+        remedy: what to do without a display, the end of the message.
+
+    Raises:
+        WindowError: there is no display, or GLFW cannot open it.
+    """
     shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform.startswith("linux") and not shown:
         raise WindowError(f"a window needs a display, and DISPLAY is not set; {remedy}")

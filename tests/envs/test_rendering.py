@@ -141,7 +141,7 @@ def viewers(monkeypatch):
         opened[-1].data = data
         return opened[-1]
 
-    monkeypatch.setattr(window, "_start", lambda remedy: None)
+    monkeypatch.setattr(window, "start", lambda remedy: None)
     viewer = mock.MagicMock(launch_passive=launch_passive)
     monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
     monkeypatch.setattr(mujoco, "viewer", viewer, raising=False)

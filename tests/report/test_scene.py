@@ -109,6 +109,17 @@ def test_without_opengl_one_line_says_what_to_install(monkeypatch):
     assert not render.available()
 
 
+def test_a_backend_that_was_asked_for_and_does_not_work(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
+    with pytest.raises(
+        render.RenderError, match=r"MUJOCO_GL=glfw does not work; unset it.*display"
+    ):
+        render.context(16, 16)
+
+
 def test_an_unknown_camera(quadrotor):
     with pytest.raises(render.RenderError, match=r"camera is 'top'; the model has view"):
         render.Renderer(quadrotor.plant.model, 64, 64, "top")
