@@ -38,16 +38,18 @@ def render(setup: Setup) -> Group:
             ", ".join(words(channel)) or "white noise only",
         )
     lines = [Text(line) for line in _believed(setup)]
+    lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)
 
 
 def latency(channel: Channel) -> str:
-    """`80 ms`, `80 ± 10 ms` or nothing."""
+    """`80 ms`, `80 ± 10 ms`, `2 s` or nothing."""
     timing = channel.timing
-    mean, std = (1e3 * t * timing.timestep for t in (timing.latency, timing.latency_std))
+    mean, std = (t * timing.timestep for t in (timing.latency, timing.latency_std))
     if not (mean or std):
         return ""
-    return f"{mean:.3g} ms" if not std else f"{mean:.3g} ± {std:.2g} ms"
+    scale, unit = (1.0, "s") if mean >= 1.0 else (1e3, "ms")
+    return f"{scale * mean:.3g}{f' ± {scale * std:.2g}' if std else ''} {unit}"
 
 
 def words(channel: Channel) -> Iterator[str]:
