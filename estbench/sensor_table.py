@@ -26,20 +26,24 @@ def render(setup: Setup) -> Group:
             heading, justify="right" if right else "left", no_wrap=heading != "imperfections"
         )
     for channel in setup.channels:
-        timing = channel.timing
-        interval = timing.uneven[1] if timing.uneven else timing.period
         table.add_row(
             channel.name,
             channel.kind,
             numbers(np.sqrt(np.diag(channel.cov))),
             " ".join(dict.fromkeys(channel.space.units)),
-            f"{1 / (interval * timing.timestep):.4g} Hz",
+            f"{rate(channel):.4g} Hz",
             latency(channel),
             ", ".join(words(channel)) or "white noise only",
         )
     lines = [Text(line) for line in _believed(setup)]
     lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)
+
+
+def rate(channel: Channel) -> float:
+    """Readings a second."""
+    timing = channel.timing
+    return 1 / ((timing.uneven[1] if timing.uneven else timing.period) * timing.timestep)
 
 
 def latency(channel: Channel) -> str:
