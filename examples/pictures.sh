@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Makes the README's two pictures: docs/images/nees.png and docs/images/ghost.png.
+# Makes the pictures of README and docs: docs/images/*.png.
 #
-# A quadrotor whose position fix comes ten times a second and 0.1 s late, filtered by the same EKF
+# The README's: a quadrotor whose position fix comes ten times a second and 0.1 s late, filtered by the same EKF
 # twice: `exact` goes back to the time of the fix and replays, `naive` takes it as current.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -17,3 +17,14 @@ estbench run quadrotor "${late[@]}" --runs 60 --out "$folder/store" \
 estbench plot "$folder/store" --what nees --format png --out docs/images/nees.png
 estbench video "$folder/store" -e exact --run 7 --at 2.4 --width 480 --height 360 \
   --out docs/images/ghost.png
+
+# Those of docs/sensors.md.
+estbench sensors quadrotor_delayed --out docs/images/sensors.png
+python - <<'END'
+from estbench import allan, experiment, setup
+
+overrides = ["channels.gyro.noise_density=0.002", "channels.gyro.bias_instability=0.002"]
+prepared = setup.build(experiment.resolve("cartpole_imu", overrides=overrides))
+gyro = next(c for c in prepared.channels if c.name == "gyro")
+allan.plot(gyro, duration=1200.0, runs=4).savefig("docs/images/allan.png", dpi=100)
+END
