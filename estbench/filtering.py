@@ -165,6 +165,10 @@ def run_filter(
     One that has the method `smooth` (see `Smoother`) is compared after it has looked back; its
     innovations, and what a controller saw, are those of its filter.
 
+    What arrives in few runs is fused in those alone, if the belief is a mean, a covariance (or its
+    factor) and faults and nothing else: such an estimator, and its model, must not tell runs apart
+    by their place in the batch.
+
     Args:
         estimator: any object of the protocol.
         space: the state space of truth and estimate.
