@@ -74,9 +74,13 @@ def covariance(
             f"({', '.join(space.names)})"
         )
     if not ((std >= 0) if exact else (std > 0)).all():
+        believed = where.startswith("filter.")
+        other = (
+            "" if believed else f" (or 0 with filter.{where}.noise for what the filter believes)"
+        )
         raise CovarianceError(
-            f"{where}.noise is {std.min():g}; R must be positive definite, so use a std above 0 "
-            f"(or 0 with filter.{where}.noise for what the filter believes)"
+            f"{where}.noise is {std.min():g}; R must be positive definite, so use a std above 0"
+            f"{other}"
         )
     return np.diag(np.broadcast_to(std, (space.n,)) ** 2), assumed
 

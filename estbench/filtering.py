@@ -23,6 +23,7 @@ from estbench.inbox import Inbox
 from estbench.lags import Lags
 from estbench.linalg import quadratic_form
 from estbench.manifold import Manifold
+from estbench.partial import ALL, Rows, put, some, take, within
 from estbench.readings import Delivery
 from estbench.timing import Instant
 from estbench.truth import Simulator, Trajectory, finite
@@ -164,6 +165,10 @@ def run_filter(
     One that has the method `smooth` (see `Smoother`) is compared after it has looked back; its
     innovations, and what a controller saw, are those of its filter.
 
+    What arrives in few runs is fused in those alone, if the belief is a mean, a covariance (or its
+    factor) and faults and nothing else: such an estimator, and its model, must not tell runs apart
+    by their place in the batch.
+
     Args:
         estimator: any object of the protocol.
         space: the state space of truth and estimate.
@@ -238,25 +243,37 @@ class _Fusion:
 
     def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
         """The belief at the end of instant k, given that at its start."""
-        first = k
+        first = np.full(len(self.late), k)
         for delivery in arrived:
             instant = self._place(k, delivery)
             if instant is None:
                 self.late += 1 if delivery.mask is None else delivery.mask
                 continue
             self._inbox.add(instant, delivery)
-            first = min(first, instant)
-        belief = self._predict(k, belief, u) if first == k else self._priors[first]
+            came = ALL if delivery.mask is None else delivery.mask
+            first[came] = np.minimum(first[came], instant)
+        belief = self._predict(k, self._replayed(k, belief, first), u)
         if self._memory:
-            self._controls[k] = u
-        for j in range(first, k + 1):
-            if j > first:
-                belief = self._predict(j, belief, self._controls[j])
-            if self._memory:
-                self._priors[j] = belief
-            belief = self._update(j, belief, self._controls[j] if self._memory else u)
+            self._controls[k], self._priors[k] = u, belief
+        belief = self._update(k, belief, u)
         self._forget(k)
         return belief
+
+    def _replayed(self, k: int, belief: Any, first: NDArray[np.int64]) -> Any:
+        """The belief at the start of instant k with all that came late.
+
+        Each run goes back no further than it must: to the instant `first` `(run,)`.
+        """
+        oldest = int(first.min())
+        rows, part = ALL, belief
+        for j in range(oldest, k):
+            u = self._controls[j]
+            if j > oldest:
+                part = self._predict(j, part, u[rows])
+                self._priors[j] = put(self._priors[j], rows, part)
+            rows = ALL if self.past is not None else some(self._priors[j], np.less_equal(first, j))
+            part = self._update(j, take(self._priors[j], rows), u, rows)
+        return put(belief, rows, part)
 
     def _place(self, k: int, delivery: Delivery) -> int | None:
         """The instant at which the filter fuses a reading that arrives at k, None if too late."""
@@ -275,19 +292,29 @@ class _Fusion:
         instant = self._instants[k]
         return self._estimator.predict(belief, u, instant.start, instant.end - instant.start)
 
-    def _update(self, k: int, belief: Any, u: Array) -> Any:
+    def _update(self, k: int, belief: Any, u: Array, rows: Rows = ALL) -> Any:
+        """The belief of some runs at instant k with all that belongs there."""
         joints = self._inbox.at(k)
         if joints:
-            self.nis[k], self.dof[k] = 0.0, 0
+            self.nis[k, rows], self.dof[k, rows] = 0.0, 0
         for layer, joint in enumerate(joints):
-            masked = {} if joint.mask is None else {"mask": joint.mask}
-            belief, innovation = self._estimator.update(
-                belief, joint.y, u, self._instants[k].end, joint.channels, **masked
+            came, masked = ALL, {}
+            if joint.mask is not None:
+                came = some(belief, np.any(joint.mask[rows], axis=-1))
+                masked = {"mask": joint.mask[within(rows, came)]}
+            runs = within(rows, came)
+            y = joint.y[runs]
+            if not len(y):
+                continue
+            part, innovation = self._estimator.update(
+                take(belief, came), y, u[runs], self._instants[k].end, joint.channels, **masked
             )
-            self.nis[k] += innovation.nis
-            self.dof[k] += innovation.dof
+            belief = put(belief, came, part)
+            self.nis[k, runs] += innovation.nis
+            self.dof[k, runs] += innovation.dof
             if np.size(innovation.white):
-                self.whiteness.put(k, layer, joint.channels, innovation.white, joint.mask)
+                mask = masked.get("mask")
+                self.whiteness.put(k, layer, joint.channels, innovation.white, mask, runs)
         if joints:
             self.nis[k, self.dof[k] == 0] = np.nan
         if self.past is not None:  # a replay writes over what it changes

@@ -10,10 +10,11 @@ Sources: Gauss-Markov drift and its discretization: Gelb 1974, sec. 3.8; bursts:
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
+from scipy.special import gammaincinv, ndtr, ndtri
 
 from estbench.manifold import Manifold
 
@@ -232,5 +233,15 @@ def _transfer(part: Imperfections, y: Array) -> Array:
 
 def _student_scale(uniform: Array, dof: float) -> Array:
     """Factor `(run, 1)` that makes Gaussian noise Student-t of the same covariance (dof > 2)."""
-    chi2 = 2.0 * gammaincinv(0.5 * dof, np.clip(uniform, 1e-12, 1 - 1e-12))
-    return np.sqrt((dof - 2.0) / chi2)
+    return np.exp(np.interp(ndtri(uniform), *_student_table(dof)))
+
+
+@cache
+def _student_table(dof: float) -> tuple[Array, Array]:
+    """Logarithm of the factor at quantiles of the standard normal.
+
+    Between them it is all but linear: to 1e-6, and many times faster than the inverse.
+    """
+    quantiles = np.linspace(-7.1, 7.1, 4001)  # beyond: 1e-12
+    chi2 = 2.0 * gammaincinv(0.5 * dof, ndtr(quantiles))
+    return quantiles, 0.5 * np.log((dof - 2.0) / chi2)

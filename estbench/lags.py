@@ -5,8 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.partial import ALL, Rows
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Noted = tuple[Sequence[str], Array, Mask | None]
+"""Channels, white `(run, m)` and mask of one update."""
 
 LAGS = 10
 """How many lags, in arrivals."""
@@ -25,7 +29,7 @@ class Lags:
 
     def __init__(self, runs: int, widths: Mapping[str, int]):
         self._runs, self._widths = runs, dict(widths)
-        self._noted: dict[tuple[int, int], tuple[Sequence[str], Array, Mask | None]] = {}
+        self._noted: dict[tuple[int, int], Noted] = {}
 
     def put(
         self,
@@ -34,6 +38,7 @@ class Lags:
         channels: Sequence[str],
         white: Array,
         mask: Mask | None = None,
+        rows: Rows = ALL,
     ) -> None:
         """Note an innovation; a replay of the same instant replaces it.
 
@@ -43,8 +48,37 @@ class Lags:
             channels: that it consists of.
             white: ν̃ `(run, m)`, zero where nothing arrived.
             mask: `(run, m)`, True where a component arrived; None means everywhere.
+            rows: the runs it is of; what was noted of the others stays.
         """
+        if not isinstance(rows, slice):
+            before = self._noted.get((instant, layer))
+            white, mask = self._among_others(before, channels, white, mask, rows)
         self._noted[instant, layer] = (channels, white, mask)
+
+    def _among_others(
+        self,
+        noted: Noted | None,
+        channels: Sequence[str],
+        white: Array,
+        mask: Mask | None,
+        rows: Rows,
+    ) -> tuple[Array, Mask]:
+        """The innovation of some runs beside what was noted, of no other channels, in the rest."""
+        whites = np.zeros((self._runs, white.shape[-1]))
+        masks = np.zeros(whites.shape, bool)
+        if noted is not None:
+            before, old, came = noted
+            for name in before:
+                here, there = self._columns(channels, name), self._columns(before, name)
+                whites[:, here] = old[:, there]
+                masks[:, here] = True if came is None else came[:, there]
+        whites[rows], masks[rows] = white, True if mask is None else mask
+        return whites, masks
+
+    def _columns(self, channels: Sequence[str], name: str) -> slice:
+        """Where a channel's components stand among those of some channels."""
+        start = sum(self._widths[c] for c in channels[: channels.index(name)])
+        return slice(start, start + self._widths[name])
 
     def sums(self) -> tuple[Array, NDArray[np.int64]]:
         """The sums, and how many products of two numbers are in each, both `(run, LAGS + 1)`."""
@@ -65,8 +99,7 @@ class Lags:
         for key in sorted(self._noted):
             channels, white, mask = self._noted[key]
             if name in channels:
-                start = sum(self._widths[c] for c in channels[: channels.index(name)])
-                part = np.s_[:, start : start + width]
+                part = np.s_[:, self._columns(channels, name)]
                 whites.append(white[part][None])
                 masks.append(
                     np.ones((1, self._runs, width), bool) if mask is None else mask[part][None]

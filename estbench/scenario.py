@@ -156,8 +156,10 @@ class AddSensor(Section):
 
 
 def _not_negative(value: float | list[float]) -> float | list[float]:
-    if any(v < 0 for v in (value if isinstance(value, list) else [value])):
-        raise ValueError(f"Input should be greater than or equal to 0, got {value}")
+    listed = isinstance(value, list)
+    if any(v < 0 for v in (value if listed else [value])):
+        got = f", got {value}" if listed else ""  # one number is shown by `_explain`
+        raise ValueError(f"Input should be greater than or equal to 0{got}")
     return value
 
 

@@ -26,28 +26,34 @@ def render(setup: Setup) -> Group:
             heading, justify="right" if right else "left", no_wrap=heading != "imperfections"
         )
     for channel in setup.channels:
-        timing = channel.timing
-        interval = timing.uneven[1] if timing.uneven else timing.period
         table.add_row(
             channel.name,
             channel.kind,
             numbers(np.sqrt(np.diag(channel.cov))),
             " ".join(dict.fromkeys(channel.space.units)),
-            f"{1 / (interval * timing.timestep):.4g} Hz",
+            f"{rate(channel):.4g} Hz",
             latency(channel),
             ", ".join(words(channel)) or "white noise only",
         )
     lines = [Text(line) for line in _believed(setup)]
+    lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)
 
 
-def latency(channel: Channel) -> str:
-    """`80 ms`, `80 ± 10 ms` or nothing."""
+def rate(channel: Channel) -> float:
+    """Readings a second."""
     timing = channel.timing
-    mean, std = (1e3 * t * timing.timestep for t in (timing.latency, timing.latency_std))
+    return 1 / ((timing.uneven[1] if timing.uneven else timing.period) * timing.timestep)
+
+
+def latency(channel: Channel) -> str:
+    """`80 ms`, `80 ± 10 ms`, `2 s` or nothing."""
+    timing = channel.timing
+    mean, std = (t * timing.timestep for t in (timing.latency, timing.latency_std))
     if not (mean or std):
         return ""
-    return f"{mean:.3g} ms" if not std else f"{mean:.3g} ± {std:.2g} ms"
+    scale, unit = (1.0, "s") if mean >= 1.0 else (1e3, "ms")
+    return f"{scale * mean:.3g}{f' ± {scale * std:.2g}' if std else ''} {unit}"
 
 
 def words(channel: Channel) -> Iterator[str]:

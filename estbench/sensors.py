@@ -1,6 +1,6 @@
 """Sensors: which channels a scenario uses, and what each is: source, noise, flaws, timing."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -113,24 +113,8 @@ def build(
         CovarianceError, DimensionError: R is not positive definite or has the wrong size.
     """
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
-    made = {name: s for name, s in sections.items() if s.of is not None or s.function is not None}
-    for name in made:
-        if name in names:
-            raise ScenarioError(f"channels.{name}: a sensor has this name; choose another")
-    known = [*names, *made]
-    for where, wanted in (("sensors", use or ()), ("channels", sections)):
-        for name in wanted:
-            if name not in known:
-                raise ScenarioError(f"{where}: no sensor '{name}'{did_you_mean(name, known)}")
-    active = [
-        name for name in known
-        if sections.get(name, ChannelSection()).enabled and (use is None or name in use)
-    ]  # fmt: skip
-    if use is None:
-        members = {member for name in active if name in made for member in made[name].of or ()}
-        active = [name for name in active if name not in members]
-    channels, notices = [], []
-    for name in active:
+    channels, notices = [], _idle(sections, use)
+    for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
         source, kind = _source(name, section, model, names)
         timing = _timing(
@@ -161,6 +145,44 @@ def build(
             "[channels.NAME] add = {type = 'jointpos', object = 'JOINT'}"
         )
     return channels, notices
+
+
+def _in_use(
+    names: Sequence[str], sections: Mapping[str, ChannelSection], use: Sequence[str] | None
+) -> list[str]:
+    """The channels in use: sensors in the model's order, then what the scenario makes of them."""
+    made = {name: s for name, s in sections.items() if s.of is not None or s.function is not None}
+    known = [*names, *made]
+    for name, section in made.items():
+        if name in names:
+            raise ScenarioError(f"channels.{name}: a sensor has this name; choose another")
+        _check_names(f"channels.{name}.of", section.of or (), names)
+    _check_names("sensors", use or (), known)
+    _check_names("channels", sections, known)
+    active = [
+        name for name in known
+        if sections.get(name, ChannelSection()).enabled and (use is None or name in use)
+    ]  # fmt: skip
+    if use is not None:
+        return active
+    members = {member for name in active if name in made for member in made[name].of or ()}
+    return [name for name in active if name not in members]
+
+
+def _check_names(where: str, wanted: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse a name that no sensor has."""
+    for name in wanted:
+        if name not in known:
+            raise ScenarioError(f"{where}: no sensor '{name}'{did_you_mean(name, known)}")
+
+
+def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:
+    """A notice of the channels that the scenario makes and does not use."""
+    idle = [
+        name for name, s in sections.items()
+        if use is not None and name not in use and (s.of or s.function or s.add)
+    ]  # fmt: skip
+    return [f"not in use, as `sensors` does not name it: {name}" for name in idle]
 
 
 def native_cutoff(model: mujoco.MjModel) -> Array:
@@ -202,9 +224,6 @@ def _source(
     if section.function is not None:
         return _function(name, section.function, section.unit or "1", model), "function"
     members = [name] if section.of is None else section.of
-    for member in members:
-        if member not in names:
-            raise ScenarioError(f"{where}.of: no sensor '{member}'{did_you_mean(member, names)}")
     if len(set(members)) < max(1, len(members)):
         raise ScenarioError(f"{where}.of is {section.of}; name each of its sensors once")
     indices = [names.index(member) for member in members]

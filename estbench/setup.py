@@ -245,6 +245,7 @@ def build(scenario: Scenario) -> Setup:
     instants = timing.instants(
         [(c.name, c.timing) for c in channels], truth.opt.timestep, section.frame_skip, duration
     )
+    notices += _silent(channels, instants[-1])
     burn_in, end = scenario.consistency.burn_in, instants[-1].end
     if burn_in >= end:
         raise ScenarioError(
@@ -409,6 +410,18 @@ def _native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Nati
         for i, sensor in enumerate(spec.sensors)
         if sensor.nsample > 0
     }  # fmt: skip
+
+
+def _silent(channels: Sequence[Channel], last: Instant) -> list[str]:
+    """A notice of each channel of which nothing can arrive before the run ends."""
+    notices = []
+    for channel in channels:
+        due = channel.timing.due(last.tick)
+        if not len(due) or due[0] + channel.timing.latency > last.tick:
+            notices.append(
+                f"{channel.name}: its first reading would arrive after the run of {last.end:g} s"
+            )
+    return notices
 
 
 def _check_window(setup: Setup) -> None:

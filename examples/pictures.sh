@@ -1,6 +1,5 @@
 #!/usr/bin/env bash
-# Makes the README's two pictures, docs/images/nees.png and docs/images/ghost.png, and that of
-# docs/gymnasium.md, docs/images/environment.png.
+# Makes the pictures of README and docs: docs/images/*.png.
 #
 # The README's: a quadrotor whose position fix comes ten times a second and 0.1 s late, filtered by the same EKF
 # twice: `exact` goes back to the time of the fix and replays, `naive` takes it as current.
@@ -30,3 +29,14 @@ for _ in range(12):
 Image.fromarray(env.render()).save("docs/images/environment.png", optimize=True)
 env.close()
 PICTURE
+
+# Those of docs/sensors.md.
+estbench sensors quadrotor_delayed --out docs/images/sensors.png
+python - <<'END'
+from estbench import allan, experiment, setup
+
+overrides = ["channels.gyro.noise_density=0.002", "channels.gyro.bias_instability=0.002"]
+prepared = setup.build(experiment.resolve("cartpole_imu", overrides=overrides))
+gyro = next(c for c in prepared.channels if c.name == "gyro")
+allan.plot(gyro, duration=1200.0, runs=4).savefig("docs/images/allan.png", dpi=100)
+END

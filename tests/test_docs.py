@@ -1,7 +1,7 @@
 """Every block of the documentation runs.
 
 ```python blocks of one page run in order, in one namespace. In ```console and ```bash blocks the
-`estbench ...` commands run, `estbench run` cut short. A ```toml block with a [model] is a scenario.
+`estbench ...` commands run, `estbench run` cut short. A ```toml block is a scenario or part of one.
 A block preceded by `<!-- no-test -->` is skipped.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import estbench
-from estbench import cli
+from estbench import cli, experiment
 from estbench.errors import MissingExtraError
 from estbench.scenario import Scenario
 
@@ -96,8 +96,25 @@ def test_commands(words, tmp_path, monkeypatch, capsys):
 def test_toml_blocks(page):
     for _, text in blocks(page, "toml"):
         data = tomllib.loads(text)
-        if "model" in data:
-            Scenario.model_validate(data)
+        if "project" not in data:  # but a package's pyproject.toml
+            Scenario.model_validate({"name": "part", "model": {"path": "robot.xml"}} | data)
+
+
+def test_the_channels_of_the_documentation_are_those_of_a_robot(tmp_path, monkeypatch):
+    """All that docs/sensors.md says of channels, at once, on the quadrotor."""
+    page = ROOT / "docs" / "sensors.md"
+    scenario = experiment.resolve("quadrotor", duration=1.0, runs=2).model_dump(exclude_none=True)
+    for _, text in blocks(page, "toml"):
+        for section, given in tomllib.loads(text).items():
+            for key, value in given.items():
+                merged = isinstance(value, dict) and section == "channels"
+                scenario[section][key] = scenario[section].get(key, {}) | value if merged else value
+    functions = next(text for _, text in blocks(page, "python") if "def thrust" in text)
+    (tmp_path / "my_robot.py").write_text(functions)
+    monkeypatch.chdir(tmp_path)
+    results = estbench.run(Scenario.model_validate(scenario))
+    assert {"ekf", "ukf", "with_bias"} == {s.label for s in results.summaries}
+    assert not any(s.failures for s in results.summaries)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -162,23 +162,51 @@ def exact(path, *more):
     )
 
 
-@pytest.mark.parametrize("skip", [1, 3])
-def test_without_imperfections_readings_are_mujocos_sensordata(tmp_path, skip):
-    text = SENSORS.replace('name="gyro"', 'name="gyro" cutoff="0.2"')
-    text = text.replace('name="tendonpos"', 'name="tendonpos" cutoff="0.01"')
-    (tmp_path / "m.xml").write_text(text)
-    prepared = exact(
-        tmp_path / "m.xml", "simulation.duration=0.15", f"model.frame_skip={skip}",
-        "initial.std=0.4",
-    )  # fmt: skip
+# What `SENSORS` leaves out: contact, tendons at their limits, geometry, energy, a camera.
+OTHERS = """
+<mujoco><option timestep="0.005"><flag energy="enable"/></option>
+<worldbody>
+  <camera name="camera" pos="0 -3 1" xyaxes="1 0 0 0 0 1" resolution="640 480" fovy="60"/>
+  <geom name="floor" type="plane" size="2 2 1"/>
+  <body pos="0 0 0.6"><joint name="arm" axis="0 1 0"/><site name="tip" pos="0.5 0 0"/>
+    <geom name="arm" type="capsule" size="0.05" fromto="0 0 0 0.5 0 0" mass="1"/></body>
+  <body name="ball" pos="1 0 0.1"><freejoint/><geom name="ball" size="0.1" mass="0.3"/>
+    <site name="skin" size="0.2"/></body>
+  <body pos="-1 0 0.5"><joint name="slide" type="slide" axis="0 0 1"/>
+    <geom size="0.1" mass="0.4" contype="0" conaffinity="0"/></body>
+</worldbody>
+<tendon><fixed name="tendon" limited="true" range="-0.2 0.2"><joint joint="arm" coef="1"/>
+  <joint joint="slide" coef="0.5"/></fixed></tendon>
+<actuator><motor name="pull" tendon="tendon"/></actuator>
+<sensor>
+  <touch name="touch" site="skin"/><camprojection name="pixel" site="tip" camera="camera"/>
+  <contact name="contact" geom1="ball" geom2="floor" num="1" data="found force dist"/>
+  <e_kinetic name="energy"/><frameyaxis name="yaxis" objtype="site" objname="tip"/>
+  <distance name="distance" geom1="ball" geom2="arm" cutoff="2"/>
+  <normal name="normal" geom1="ball" geom2="arm" cutoff="2"/>
+  <fromto name="fromto" geom1="ball" geom2="arm" cutoff="2"/>
+  <insidesite name="inside" site="skin" objtype="body" objname="ball"/>
+  <tendonactuatorfrc name="tendon_force" tendon="tendon"/>
+  <tendonlimitpos name="limit" tendon="tendon"/><tendonlimitvel name="limit_rate" tendon="tendon"/>
+  <tendonlimitfrc name="limit_force" tendon="tendon"/>
+</sensor></mujoco>"""
+
+
+def assert_sensordata(path, duration, *settings):
+    """Readings free of imperfections are those of `mj_forward`.
+
+    Returns:
+        Names of the sensors that were not always zero, and of those seen at their cutoff.
+    """
+    prepared = exact(path, f"simulation.duration={duration}", *settings)
     runs = range(4)
     with engine():
         controller = prepared.controller(runs)
         trajectory = simulate(prepared.simulator(runs), controller, prepared.plant.period)
-    original = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    original = mujoco.MjModel.from_xml_path(str(path))
     # The solver then begins where it begins in estbench: forces of constraints agree to the bit.
     original.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
-    clipped = set()
+    alive, clipped = set(), set()
     for k, instant in enumerate(prepared.instants):
         arrived = {d.channel: d for d in trajectory.deliveries[k]}
         assert list(arrived) == [c.name for c in prepared.channels]
@@ -192,10 +220,26 @@ def test_without_imperfections_readings_are_mujocos_sensordata(tmp_path, skip):
                 expected = data.sensor(c.name).data
                 np.testing.assert_array_equal(arrived[c.name].y[run], expected, c.name)
                 limit = original.sensor(c.name).cutoff[0]
-                if limit and np.abs(expected).max() == limit:
-                    clipped.add(c.name)
+                alive |= {c.name} if expected.any() else set()
+                clipped |= {c.name} if limit and np.abs(expected).max() == limit else set()
             assert all(arrived[c.name].mask is None for c in prepared.channels)
+    return alive, clipped
+
+
+@pytest.mark.parametrize("skip", [1, 3])
+def test_without_imperfections_readings_are_mujocos_sensordata(tmp_path, skip):
+    text = SENSORS.replace('name="gyro"', 'name="gyro" cutoff="0.2"')
+    text = text.replace('name="tendonpos"', 'name="tendonpos" cutoff="0.01"')
+    (tmp_path / "m.xml").write_text(text)
+    settings = (f"model.frame_skip={skip}", "initial.std=0.4")
+    _, clipped = assert_sensordata(tmp_path / "m.xml", 0.15, *settings)
     assert {"gyro", "tendonpos"} <= clipped
+
+
+def test_contacts_limits_geometry_and_energy_are_mujocos_too(tmp_path):
+    (tmp_path / "m.xml").write_text(OTHERS)
+    alive, _ = assert_sensordata(tmp_path / "m.xml", 0.3, "initial.std=0.3")
+    assert alive == {s.name for s in mujoco.MjSpec.from_string(OTHERS).sensors}
 
 
 def test_zero_imperfections_are_no_imperfections(tmp_path):

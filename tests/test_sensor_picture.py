@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from estbench.models.rows import engine
 from estbench.truth import simulate
 
 pytest.importorskip("matplotlib")
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +51,52 @@ def test_the_picture_has_a_panel_an_axis(delayed):
     assert titles[0] == "accel.x  (accelerometer, 200 Hz)"
     assert titles[1:3] == ["accel.y", "accel.z"]
     assert titles[6] == "position.x  (framepos, 10 Hz, 80 ms late)"
-    assert titles[9].startswith("height.z  (framepos, 25 Hz")
+    assert re.fullmatch(r"height\.z  \(framepos, 25 Hz(, \d+ lost)?\)", titles[9])
     assert len(titles) == 3 + 3 + 3 + 1 + 3
+    key = figure.get_suptitle()
+    assert key.startswith("title: true (lines) and measured (points); thin lines lead to the arri")
+    # The time is told wherever the panels below have another width.
+    told = [bool(ax.get_xlabel()) for ax in figure.axes]
+    assert told == [False] * 6 + [True] * 3 + [True] + [True] * 3
     assert figure.axes[0].get_ylabel() == "m/s²"
     assert all(ax.get_xlim() == (0.0, pytest.approx(0.5)) for ax in figure.axes)
+
+
+WORDY = "{noise=0.1, rate=50.0, latency=0.03, latency_std=0.01, dropout=0.2, of=['accel', 'gyro']}"
+
+
+def test_no_words_overlap_and_several_sensors_keep_their_units():
+    overrides = [f"channels.imu={WORDY}", "channels.position.axes=[1]", "channels.attitude.rate=25"]
+    prepared = setup.build(experiment.resolve("quadrotor", duration=1.0, overrides=overrides))
+    figure = sensor_picture.draw(sensor_picture.record(prepared, 0.5), "a scenario")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    words = [w for ax in figure.axes for w in (ax._left_title, ax.xaxis.label, ax.yaxis.label)]
+    words = [w for w in (*words, figure._suptitle) if w.get_text()]
+    boxes = [w.get_window_extent(renderer) for w in words]
+    for i, box in enumerate(boxes):
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1, words[i].get_text()
+        assert not [o for o, b in zip(words, boxes) if o is not words[i] and b.overlaps(box)]
+    imu = [ax for ax in figure.axes if "imu" in ax.get_title(loc="left")]
+    said = [" ".join(ax.get_title(loc="left").split()) for ax in imu]
+    assert re.fullmatch(
+        r"accel\.x \(imu, accelerometer \+ gyro, 50 Hz, 30 ± 10 ms late, \d+ lost\)", said[0]
+    )
+    assert [ax.get_ylabel() for ax in imu] == ["m/s²", "rad/s"]
+
+
+def test_a_reading_that_is_taken_after_the_picture_ends_is_not_lost():
+    overrides = ["channels.cart_encoder={rate=10.0, jitter=0.04}"]
+    prepared = setup.build(experiment.resolve("cartpole", duration=2.0, overrides=overrides))
+    runs = [sensor_picture.record(prepared, 1.0, run)[0] for run in range(6)]
+    assert any(len(r.taken) == 9 for r in runs)  # the tenth is taken later in some runs
+    assert not any(len(r.lost) for r in runs)
+
+
+def test_nothing_to_draw(delayed):
+    with pytest.raises(EstbenchError, match=r"--seconds is 0\.001; use at least 0\.005, one step"):
+        sensor_picture.record(delayed, 0.001)
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.svg"])
