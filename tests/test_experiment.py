@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench import experiment, records, setup
+from estbench import experiment, records, setup, worker
 from estbench.errors import ControllerError, EstbenchError, EstimatorError, ScenarioError
 from estbench.estimators.ekf import EKF
 from tests.test_filtering import Plain
@@ -22,8 +22,10 @@ def assert_same(a, b, rtol=0.0, fields=COMPARED):
     assert a.keys() == b.keys()
     for label in a:
         for name in fields:
+            # Sums of products of either sign are as exact as their terms are large: as lag 0 is.
+            atol = rtol * (np.abs(b[label][name]).max() if name == "lags" else 1.0)
             np.testing.assert_allclose(
-                a[label][name], b[label][name], rtol=rtol, atol=rtol, err_msg=f"{label} {name}"
+                a[label][name], b[label][name], rtol=rtol, atol=atol, err_msg=f"{label} {name}"
             )
 
 
@@ -202,7 +204,7 @@ class Frozen(EKF):
 
 
 def test_ctrl_c_keeps_the_finished_runs(tmp_path):
-    calls = []
+    calls, threads = [], threading.active_count()  # other tests' libraries leave some
 
     def progress(done, total):
         calls.append((done, total))
@@ -229,7 +231,7 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path):
             np.testing.assert_array_equal(a[group][name][stored], b[group][name][stored])
     assert "interrupted: 12 of 24 runs" in str(cut)
     assert cut.to_dict()["interrupted"] is True
-    assert threading.active_count() < 10
+    assert threading.active_count() < threads + 6  # zarr's own
     assert not [t for t in threading.enumerate() if t.name.startswith("estbench")]
 
 
@@ -237,7 +239,7 @@ def test_ctrl_c_before_the_first_batch_leaves_nothing(tmp_path, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(experiment, "run_batch", interrupt)
+    monkeypatch.setattr(worker, "run_batch", interrupt)
     with pytest.raises(EstbenchError, match="interrupted before the first batch"):
         run(out=tmp_path / "new" / "x")
     assert list(tmp_path.iterdir()) == []

@@ -208,7 +208,7 @@ def test_an_unknown_executor_and_a_missing_address():
 
 def test_an_unreachable_scheduler_is_named_in_time(monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    assert executors.TIMEOUT == 15.0
+    assert executors.TIMEOUT <= 10.0  # importing the library takes its time too
     monkeypatch.setattr(executors, "TIMEOUT", 1.0)
     began = time.monotonic()
     with pytest.raises(ExecutorError, match=r"tcp://127\.0\.0\.1:9"):
