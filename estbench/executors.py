@@ -6,6 +6,7 @@ task that kills its worker is found out and reported while the others complete. 
 memory is tried again in the same way, when no other takes any.
 """
 
+import asyncio
 import contextlib
 import multiprocessing
 import os
@@ -249,12 +250,13 @@ def _dask(address: str | None) -> Pool:
         raise MissingExtraError("dask.distributed", "dask") from None
     client = None
     try:
+        asyncio.run(_knock(address))
         client = Client(address, timeout=TIMEOUT, set_as_default=False)
         client.wait_for_workers(1, timeout=TIMEOUT)
     except (OSError, TimeoutError, ValueError) as error:
+        what = "scheduler answers" if client is None else "worker is known to the scheduler"
         if client is not None:
             client.close()
-        what = "scheduler answers" if client is None else "worker is known to the scheduler"
         raise ExecutorError(
             f"no dask {what} at {address} within {TIMEOUT:g} s "
             f"({type(error).__name__}); start one or check --address"
@@ -266,3 +268,15 @@ def _dask(address: str | None) -> Pool:
         client.close()
 
     return Pool(lambda: client.get_executor(retries=2), workers, close, 2 * workers)
+
+
+async def _knock(address: str) -> None:
+    """Ask the scheduler who it is: a `Client` would wait for ever for one that accepts and is mute.
+
+    Raises:
+        OSError, TimeoutError, ValueError: it does not answer in `TIMEOUT`.
+    """
+    from distributed.core import rpc
+
+    async with rpc(address, timeout=TIMEOUT) as scheduler:
+        await asyncio.wait_for(scheduler.identity(), TIMEOUT)
