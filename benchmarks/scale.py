@@ -1,7 +1,7 @@
 """Memory and cost of very many runs: `python -m benchmarks.scale`.
 
-Each experiment is a fresh process, whose children count. Its peak of resident memory is sampled (the
-sum over the processes, shared pages counted in each, so that it is an upper bound). Small and large
+Each experiment is a fresh process, whose children count. Its peak of resident memory is sampled (a
+sum over the processes, shared pages counted in each, so an upper bound). Small and large
 experiments alternate, and the median of their ratios is taken: what else the machine does then hits
 both.
 """
