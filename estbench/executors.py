@@ -6,7 +6,6 @@ task that kills its worker is found out and reported while the others complete. 
 memory is tried again in the same way, when no other takes any.
 """
 
-import asyncio
 import contextlib
 import multiprocessing
 import os
@@ -28,12 +27,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from estbench.errors import ExecutorError, MissingExtraError
+from estbench.errors import ExecutorError
 
 T = TypeVar("T")
 KINDS = ("auto", "threads", "processes", "dask")
-TIMEOUT = 10.0
-"""Seconds in which a dask scheduler must answer, and have a worker."""
+POLL = 1.0
+"""Seconds between two looks whether a cluster is still there."""
 LONG = 20_000_000
 """Steps of all runs and estimators, some minutes of one core, from which processes pay."""
 PROCESS_BYTES = 250 * 2**20
@@ -60,6 +59,8 @@ class Pool:
     suspects."""
     local: bool = False
     """Whether tasks share this process's memory."""
+    lost: Callable[[], bool] = lambda: False
+    """Whether the workers have gone for good and say nothing of it."""
 
 
 def cpu_count() -> int:
@@ -128,7 +129,9 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
             workers,
         )
     if kind == "dask":
-        return _dask(address)
+        from estbench import cluster  # takes long to import, and is an extra
+
+        return cluster.pool(address)
     raise ExecutorError(f"executor is '{kind}'; use one of {', '.join(KINDS)}")
 
 
@@ -159,12 +162,23 @@ def execute(
             # nothing has succeeded they go first, so that what cannot work ends soon.
             alone = bool(suspects) and not (fresh and succeeded)
             source, limit = (suspects, 1) if alone else (fresh, using.queue)
-            while source and len(waiting) < limit:
-                task = source.popleft()
-                waiting[executor.submit(function, task)] = task
-            finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            lost: dict[T, str] = {}
             broken = False
+            while source and len(waiting) < limit and not broken:
+                task = source.popleft()
+                try:
+                    waiting[executor.submit(function, task)] = task
+                except BrokenExecutor:  # a worker died meanwhile; this task is no suspect
+                    source.appendleft(task)
+                    broken = True
+                except Exception as error:  # a cluster that was lost takes no more
+                    yield Failed(task, ExecutorError(f"{LOST} ({type(error).__name__}: {error})"))
+            finished, _ = wait(waiting, POLL, FIRST_COMPLETED) if waiting else ((), ())
+            if not finished and using.lost():  # its futures would never be done
+                for task in (*waiting.values(), *suspects, *fresh):
+                    yield Failed(task, ExecutorError(LOST))
+                using.abandon(executor)
+                return
+            lost: dict[T, str] = {}
             for future in finished:
                 task = waiting.pop(future)
                 try:
@@ -194,16 +208,18 @@ def execute(
         using.abandon(executor)
         raise
     executor.shutdown(wait=True)
+    using.abandon(executor)  # a cluster's connection is left open otherwise
 
 
 DIED = "the worker died {} times (out of memory? killed?); take fewer --workers"
 NO_MEMORY = "no memory, {} times, alone too; take --keep summary, or fewer estimators at once"
+LOST = "the cluster was lost; go on with --resume"
 
 
 def _ours(error: Exception) -> Exception:
     """The error of a task; those of a cluster that lost it, in our words."""
     if isinstance(error, CancelledError):
-        return ExecutorError("the cluster was lost before the task was finished; --resume")
+        return ExecutorError(LOST)
     if type(error).__name__ == "KilledWorker":  # distributed.scheduler.KilledWorker
         return ExecutorError(f"the workers that computed it died: {error}")
     return error
@@ -237,46 +253,3 @@ def _start() -> None:
 def _follow(parent: Callable[[], None]) -> None:
     parent()
     os._exit(1)
-
-
-def _dask(address: str | None) -> Pool:
-    if not address:
-        raise ExecutorError(
-            "executor dask needs the scheduler's address, e.g. tcp://127.0.0.1:8786"
-        )
-    try:
-        from distributed import Client
-    except ImportError:
-        raise MissingExtraError("dask.distributed", "dask") from None
-    client = None
-    try:
-        asyncio.run(_knock(address))
-        client = Client(address, timeout=TIMEOUT, set_as_default=False)
-        client.wait_for_workers(1, timeout=TIMEOUT)
-    except (OSError, TimeoutError, ValueError) as error:
-        what = "scheduler answers" if client is None else "worker is known to the scheduler"
-        if client is not None:
-            client.close()
-        raise ExecutorError(
-            f"no dask {what} at {address} within {TIMEOUT:g} s "
-            f"({type(error).__name__}); start one or check --address"
-        ) from None
-    workers = max(1, sum(client.nthreads().values()))
-
-    def close(executor: Executor) -> None:
-        executor.shutdown(wait=False)
-        client.close()
-
-    return Pool(lambda: client.get_executor(retries=2), workers, close, 2 * workers)
-
-
-async def _knock(address: str) -> None:
-    """Ask the scheduler who it is: a `Client` would wait for ever for one that accepts and is mute.
-
-    Raises:
-        OSError, TimeoutError, ValueError: it does not answer in `TIMEOUT`.
-    """
-    from distributed.core import rpc
-
-    async with rpc(address, timeout=TIMEOUT) as scheduler:
-        await asyncio.wait_for(scheduler.identity(), TIMEOUT)

@@ -317,12 +317,21 @@ def _collect(
         notices=(
             *prepared.notices,
             *notices,
-            *(
-                f"runs {batches[i].start}-{batches[i].stop - 1} are missing: {error}"
-                for i, error in sorted(failed.items())
-            ),
+            *_missing(batches, failed),
         ),
         folder=target.folder if target is not None else None,
         interrupted=interrupted,
         failed=len(failed),
     )
+
+
+def _missing(batches: Sequence[range], failed: Mapping[int, Exception]) -> list[str]:
+    """What failed and why: a line for batches that follow each other and have the same reason."""
+    spans: list[tuple[int, int, str]] = []
+    for i, error in sorted(failed.items()):
+        runs, reason = batches[i], str(error)
+        if spans and spans[-1][1:] == (runs.start, reason):
+            spans[-1] = (spans[-1][0], runs.stop, reason)
+        else:
+            spans.append((runs.start, runs.stop, reason))
+    return [f"runs {start}-{stop - 1} are missing: {reason}" for start, stop, reason in spans]

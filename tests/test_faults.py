@@ -17,7 +17,7 @@ import xarray as xr
 import zarr
 
 import estbench
-from estbench import executors, experiment, store
+from estbench import cluster, executors, experiment, store
 from estbench.errors import ExecutorError, StoreError
 from estbench.estimators.ekf import EKF
 
@@ -259,7 +259,7 @@ def test_workers_are_as_many_as_the_memory_holds():
 
 def test_a_scheduler_that_does_not_answer_is_named_in_time(monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    monkeypatch.setattr(executors, "TIMEOUT", 1.0)
+    monkeypatch.setattr(cluster, "TIMEOUT", 1.0)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -272,10 +272,39 @@ def test_a_scheduler_that_does_not_answer_is_named_in_time(monkeypatch):
 
 def test_a_scheduler_without_workers_is_no_hang(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    monkeypatch.setattr(executors, "TIMEOUT", 1.0)
+    monkeypatch.setattr(cluster, "TIMEOUT", 1.0)
     with (
-        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as local,
         pytest.raises(ExecutorError, match="no dask worker is known to the scheduler"),
     ):
-        run(tmp_path / "x", executor="dask", address=cluster.scheduler_address)
+        run(tmp_path / "x", executor="dask", address=local.scheduler_address)
     assert not (tmp_path / "x").exists()
+
+
+def test_a_cluster_that_is_lost_leaves_what_was_finished(whole, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
+    import dask
+
+    timeouts = {"distributed.comm.timeouts.connect": "1s", "distributed.comm.timeouts.tcp": "1s"}
+    local = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    )
+    with dask.config.set(timeouts):
+        results = run(
+            tmp_path / "x", executor="dask", address=local.scheduler_address,
+            progress=lambda *_: local.close(),
+        )  # fmt: skip
+    assert results.failed > 0
+    assert 0 < len(results.runs) < 40
+    assert any("the cluster was lost; go on with --resume" in n for n in results.notices)
+    run(tmp_path / "x", resume=True)
+    same(tmp_path / "x", whole.folder)
+
+
+def test_missing_runs_of_one_reason_are_one_line():
+    batches = [range(i, i + 5) for i in range(0, 30, 5)]
+    failed = {i: ExecutorError("a" if i < 4 else "b") for i in (0, 2, 3, 4)}
+    lines = experiment._missing(batches, failed)
+    assert lines == [
+        "runs 0-4 are missing: a", "runs 10-19 are missing: a", "runs 20-24 are missing: b"
+    ]  # fmt: skip
