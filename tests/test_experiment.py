@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench import experiment, records, setup, worker
+from estbench import batches, experiment, records, setup, worker
 from estbench.errors import ControllerError, EstbenchError, EstimatorError, ScenarioError
 from estbench.estimators.ekf import EKF
 from tests.test_filtering import Plain
@@ -340,3 +340,29 @@ def test_default_batches_do_not_depend_on_the_machine(monkeypatch):
     before = size(runs=500)
     monkeypatch.setattr(experiment.executors, "cpu_count", lambda: 64)
     assert size(runs=500) == before
+
+
+# What is kept
+
+
+def test_traces_are_kept_while_they_are_small(tmp_path, monkeypatch):
+    prepared = setup.build(experiment.resolve("cartpole", ["ekf", "ukf"], runs=24, duration=0.3))
+    assert batches.default_keep(prepared) == "diagonal"
+    run(out=tmp_path / "small", estimators=["ekf", "ukf"])
+    with estbench.open_results(tmp_path / "small") as tree:
+        tree = tree.load()
+        names = (*records.DIAGONAL, "x")
+        groups = [tree[g].data_vars for g in ("ekf", "ukf", "truth")]
+        stored = sum(g[n].nbytes for g in groups for n in names if n in g)
+    assert batches.trace_bytes(prepared) == stored
+    monkeypatch.setattr(batches, "TRACES_BYTES", stored - 1)
+    assert batches.default_keep(prepared, "float32") == "diagonal"
+    large = run(out=tmp_path / "large", estimators=["ekf", "ukf"])
+    with estbench.open_results(tmp_path / "large") as tree:
+        assert set(tree["ekf"].data_vars) == set(records.SUMMARY)
+    assert any("only averages are stored; --keep diagonal" in n for n in large.notices)
+    asked = run(out=tmp_path / "asked", estimators=["ekf", "ukf"], keep="diagonal")
+    assert not asked.notices
+    assert_same(large.records, asked.records)
+    again = run(out=tmp_path / "asked", estimators=["ekf", "ukf"], resume=True)
+    assert again["ekf"].anees == asked["ekf"].anees
