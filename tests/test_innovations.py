@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import estbench
 from estbench import experiment, setup
+from estbench.analysis.compare import compare_stores
 from estbench.innovations import listen, readings
 from estbench.manifold import Manifold
 
@@ -53,3 +55,49 @@ def test_the_names_of_readings_and_of_the_class():
     heard = listen(prepared.estimator("ekf"), prepared.channel_spaces, [0.1], 1)
     assert type(heard).__name__ == "EKF"
     assert not hasattr(heard, "smooth")
+
+
+def test_the_tables_follow_from_what_is_stored(tmp_path):
+    """Every figure of `compare` on one estimator, from the traces, by the textbook's formulas."""
+    overrides = ["filter.process_noise_scale=0.3"]
+    estbench.run(
+        "cartpole", ["ekf"], runs=30, duration=0.8, batch_size=8, out=tmp_path / "x", keep="full",
+        overrides=overrides,
+    )  # fmt: skip
+    with estbench.open_results(tmp_path / "x") as tree:
+        ekf = tree["ekf"].to_dataset().load()
+    f = compare_stores([tmp_path / "x"]).contests[0].findings[0]
+    e, P, v, S = (
+        ekf[k].to_numpy()[:, 1:] for k in ("error", "cov", "innovation", "innovation_cov")
+    )
+    runs, steps, m = v.shape
+    assert not ekf["diverged"].any()
+    # Ljung & Box, one run at a time; ten lags and no parameter fitted: ten degrees of freedom
+    white = np.linalg.solve(np.linalg.cholesky(S), v[..., None])[..., 0]
+    rejected = 0
+    for w in white:
+        N = m * steps
+        c0 = (w**2).sum() / N
+        rho = [(w[k:] * w[:-k]).sum() / (m * (steps - k)) / c0 for k in range(1, 11)]
+        Q = (N + 2) / N * sum(m * (steps - k) * r**2 for k, r in enumerate(rho, 1))
+        rejected += bool(stats.chi2.ppf(0.95, 10) < Q)
+    assert f.whiteness is not None
+    assert f.whiteness.rejected.value == pytest.approx(rejected / runs)
+    # Li & Zhao
+    nees = np.einsum("rki,rkij,rkj->rk", e, np.linalg.inv(P), e)
+    square = np.einsum("rki,rkj->kij", e, e) / runs
+    best = np.einsum("rki,kij,rkj->rk", e, np.linalg.inv(square), e)
+    ratio = 10 * np.log10(nees / best)
+    assert f.nci == pytest.approx(np.abs(ratio).mean(), rel=1e-6)
+    assert f.inclination == pytest.approx(ratio.mean(), rel=1e-6)
+    # coverage, ANEES, RMSE
+    sigma = np.sqrt(np.einsum("rkii->rki", P))
+    assert f.coverage is not None
+    for i, c in enumerate(f.coverage):
+        for k, share in enumerate(c.shares, 1):
+            expected = (np.abs(e[..., i]) <= k * sigma[..., i]).mean()
+            assert share.value == pytest.approx(expected)
+    assert f.summary.anees.value == pytest.approx(nees.mean() / 4)
+    np.testing.assert_allclose(
+        [r.value for r in f.summary.rmse], np.sqrt((e**2).mean(axis=(0, 1))), rtol=1e-9
+    )
