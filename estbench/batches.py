@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench import records, setup, streams
 from estbench.errors import EstbenchError, EstimatorError
-from estbench.estimators.base import Estimator
 from estbench.filtering import Live, Recorded, Traces, run_filter
 from estbench.innovations import Listened, listen, readings
 from estbench.truth import Trajectory, simulate
@@ -131,7 +130,7 @@ def _passes(
             heard = listen(estimator, prepared.channel_spaces, ends, len(runs))
         try:
             traces = run_filter(
-                cast(Estimator, heard or estimator), prepared.space, (mean, cov), source,
+                heard or estimator, prepared.space, (mean, cov), source,
                 prepared.channel_spaces,
                 delays=prepared.delays(label), keys=keys, keep_cov=keep_cov, stop=stop,
             )  # fmt: skip

@@ -1,12 +1,14 @@
 """Innovations as they were, for a store that keeps everything: an estimator that is listened to."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import wraps
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Estimator, Innovation
+from estbench.estimators.base import Estimator, Innovation, Passage
 from estbench.manifold import Manifold
 from estbench.models.base import Channels
 
@@ -34,8 +36,24 @@ def listen(
         runs: how many.
     """
     # A class of the same name: error messages name the user's class, not this one.
-    kind = type(type(estimator).__name__, (Listened,), {})
+    base = ListenedSmoother if hasattr(estimator, "smooth") else Listened
+    kind: type[Listened] = type(type(estimator).__name__, (base,), {})
     return kind(estimator, spaces, ends, runs)
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """A belief in a wrapper: who drives the estimator sees nothing that it could cut into runs.
+
+    An update of some of the runs would not say which ones they are.
+    """
+
+    belief: Any
+
+    @property
+    def fault(self) -> Any:
+        """Why runs failed, where the belief says it."""
+        return getattr(self.belief, "fault", None)
 
 
 class Listened:
@@ -62,21 +80,36 @@ class Listened:
         self.innovation = np.full((len(ends) + 1, runs, stops[-1]), np.nan)
         self.innovation_cov = np.full((len(ends) + 1, runs, stops[-1], stops[-1]), np.nan)
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._estimator, name)
+        @wraps(estimator.init)  # its signature says whether it takes random keys
+        def init(*arguments: Any, **keys: Any) -> Heard:
+            return Heard(estimator.init(*arguments, **keys))
+
+        self.init = init
+
+    def predict(self, belief: Heard, u: Array, t: float, dt: float) -> Heard:
+        """The estimator's own prediction."""
+        return Heard(self._estimator.predict(belief.belief, u, t, dt))
+
+    def mean(self, belief: Heard) -> Array:
+        """x̂ `(run, nx)`."""
+        return self._estimator.mean(belief.belief)
+
+    def cov(self, belief: Heard) -> Array:
+        """P `(run, n, n)`."""
+        return self._estimator.cov(belief.belief)
 
     def update(
         self,
-        belief: Any,
+        belief: Heard,
         y: Array,
         u: Array,
         t: float,
         channels: Channels = None,
         mask: NDArray[np.bool_] | None = None,
-    ) -> tuple[Any, Innovation]:
+    ) -> tuple[Heard, Innovation]:
         """The estimator's own update."""
         masked = {} if mask is None else {"mask": mask}
-        belief, innovation = self._estimator.update(belief, y, u, t, channels, **masked)
+        after, innovation = self._estimator.update(belief.belief, y, u, t, channels, **masked)
         where = np.concatenate([self._places[name] for name in channels or self._places])
         if np.shape(innovation.residual)[-1:] == where.shape:  # a particle filter may give none
             fused = innovation.dof[:, None] > 0  # a start that only gathers readings fuses none
@@ -88,4 +121,13 @@ class Listened:
             block = np.ix_(np.arange(len(cov)), where, where)
             residual[:, where] = np.where(came, innovation.residual, residual[:, where])
             cov[block] = np.where(both, innovation.cov, cov[block])
-        return belief, innovation
+        return Heard(after), innovation
+
+
+class ListenedSmoother(Listened):
+    """One that also looks back."""
+
+    def smooth(self, passage: Passage) -> list[Heard]:
+        """The estimator's own look back."""
+        inner = replace(passage, beliefs=[belief.belief for belief in passage.beliefs])
+        return [Heard(belief) for belief in self._estimator.smooth(inner)]  # type: ignore[attr-defined]

@@ -40,12 +40,13 @@ def test_nis_and_dof_follow_from_what_is_stored(tmp_path, scenario, overrides):
     assert some == (overrides == LATE or scenario == "quadrotor")
 
 
-def test_listening_changes_no_number():
-    prepared = setup.build(experiment.resolve("cartpole", ["ekf"], runs=3, duration=0.2))
+@pytest.mark.parametrize("label", ["ekf", "rts", "pf"])  # one looks back, one takes random keys
+def test_listening_changes_no_number(label):
+    prepared = setup.build(experiment.resolve("pendulum", [label], runs=3, duration=0.2))
     plain, full = (experiment.run_batch(prepared, range(3), k) for k in ("diagonal", "full"))
-    for name, value in plain.records["ekf"].items():
+    for name, value in plain.records[label].items():
         if name != "cpu_time":
-            np.testing.assert_array_equal(value, full.records["ekf"][name])
+            np.testing.assert_array_equal(value, full.records[label][name])
 
 
 def test_the_names_of_readings_and_of_the_class():
