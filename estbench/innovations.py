@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ def listen(
     """
     # A class of the same name: error messages name the user's class, not this one.
     base = ListenedSmoother if hasattr(estimator, "smooth") else Listened
-    kind: type[Listened] = type(type(estimator).__name__, (base,), {})
+    kind = cast(type[Listened], type(type(estimator).__name__, (base,), {}))
     return kind(estimator, spaces, ends, runs)
 
 
