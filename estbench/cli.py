@@ -57,19 +57,30 @@ def run(
         Path | None, typer.Option(help="results folder; default results/SCENARIO-TIME")
     ] = None,
     keep: Annotated[
-        Literal["summary", "diagonal", "full"],
-        typer.Option(help="what is stored of every run: averages; + traces; + covariances"),
-    ] = "diagonal",
+        Literal["auto", "summary", "diagonal", "full"],
+        typer.Option(
+            help="what is stored of every run: averages; + traces; + covariances and innovations; "
+            "auto: traces while they take less than 1 GiB"
+        ),
+    ] = "auto",
+    dtype: Annotated[
+        Literal["float64", "float32"], typer.Option(help="of the stored traces")
+    ] = "float64",
     resume: Annotated[bool, typer.Option(help="go on with --out: compute what is missing")] = False,
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
     ] = None,
     executor: Annotated[
-        Literal["threads", "processes", "dask"], typer.Option(help="what computes the batches")
-    ] = "threads",
+        Literal["auto", "threads", "processes", "dask"],
+        typer.Option(
+            help="what computes the batches; auto: processes for long work on many CPUs, else "
+            "threads"
+        ),
+    ] = "auto",
     address: Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="threads or processes; default: all CPUs")
+        int | None,
+        typer.Option(min=1, help="threads or processes; default: all CPUs, as memory allows"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of tables")] = False,
 ) -> None:
@@ -78,7 +89,7 @@ def run(
     folder = out if out is not None else store.default_folder(resolved.name)
     with _progress(resolved.simulation.runs) as progress:
         results = experiment.run(
-            resolved, out=folder, keep=keep, resume=resume, shard=_shard(shard),
+            resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=_shard(shard),
             executor=executor, address=address, workers=workers, progress=progress,
         )  # fmt: skip
     if as_json:
@@ -87,6 +98,8 @@ def run(
         _console().print(results.render())
     if results.interrupted:
         raise typer.Exit(130)
+    if results.failed:  # the notes say which runs are missing, and why
+        raise typer.Exit(1)
 
 
 @app.command("list", epilog="Example: estbench list")

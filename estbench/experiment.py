@@ -1,19 +1,17 @@
 """Monte Carlo: many runs in batches on workers, interruptible, every finished run kept."""
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from estbench import executors, records, setup, statistics, store, streams, worker
+from estbench import batches as one
+from estbench import executors, records, setup, statistics, store, worker
 from estbench import scenario as scenarios
+from estbench.batches import default_batch_size, run_batch, traced
 from estbench.errors import (
-    EstbenchError,
     EstimatorError,
     ExecutorError,
     Interrupted,
@@ -22,24 +20,12 @@ from estbench.errors import (
     did_you_mean,
 )
 from estbench.estimators import registry
-from estbench.filtering import Live, Recorded, Traces, run_filter
 from estbench.results import Results
-from estbench.truth import Trajectory, simulate
 
-Array = NDArray[np.float64]
+__all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
+
 Progress = Callable[[int, int], None]
 """Called with the runs done and the runs in all."""
-
-BATCH_BYTES = 64 * 2**20
-"""Memory that the traces of one batch may take."""
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """What one batch of runs gave: the true states and a record an estimator."""
-
-    truth: records.Record
-    records: dict[str, records.Record]
 
 
 def run(
@@ -51,11 +37,11 @@ def run(
     duration: float | None = None,
     overrides: Sequence[str] = (),
     out: str | Path | None = None,
-    keep: Literal["summary", "diagonal", "full"] = "diagonal",
+    keep: Literal["auto", "summary", "diagonal", "full"] = "auto",
     dtype: Literal["float64", "float32"] = "float64",
     resume: bool = False,
     shard: tuple[int, int] | None = None,
-    executor: Literal["threads", "processes", "dask"] = "threads",
+    executor: Literal["auto", "threads", "processes", "dask"] = "threads",
     address: str | None = None,
     workers: int | None = None,
     batch_size: int | None = None,
@@ -71,13 +57,16 @@ def run(
         duration: s, in place of the scenario's.
         overrides: `section.key=value` strings.
         out: folder to write the results to; None writes nothing.
-        keep: what the store keeps of every run.
+        keep: what the store keeps of every run; `auto` is `diagonal` while the traces of all runs
+            take at most 1 GiB (`batches.TRACES_BYTES`), else `summary`, which is said.
         dtype: of the stored traces.
         resume: go on with `out` if it exists: only what is missing is computed.
         shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
-        executor: `threads`, `processes` (spawned; for many cores), or `dask`.
+        executor: `threads`, `processes` (spawned, so that a script needs its
+            `if __name__ == "__main__":`), `auto` (processes for long work on many CPUs), or `dask`.
         address: of the dask scheduler.
-        workers: threads or processes; default the CPUs this process may use.
+        workers: threads or processes; default the CPUs this process may use, as far as the memory
+            goes.
         batch_size: runs a batch; default by memory. It does not change the results.
         progress: called after every batch.
 
@@ -93,7 +82,7 @@ def run(
         if value is not None and value < 1:
             raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
     for name, value, known in (
-        ("keep", keep, ("summary", "diagonal", "full")),
+        ("keep", keep, ("auto", "summary", "diagonal", "full")),
         ("dtype", dtype, ("float64", "float32")),
     ):
         if value not in known:
@@ -102,32 +91,70 @@ def run(
         raise StoreError("resume and shard need a folder to go on with; name it with --out")
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
     prepared = setup.build(resolved)
-    using = executors.pool(executor, workers or executors.cpu_count(), address)
-    size = batch_size or default_batch_size(prepared, keep)
+    level, notices = _level(prepared, keep, dtype, out is not None)
+    size = batch_size or default_batch_size(prepared, level)
+    using = _pool(prepared, executor, address, workers, size * one.run_bytes(prepared, level))
     if out is None:
         count = resolved.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
-        done, failed, interrupted = _compute(prepared, batches, keep, using, None, {}, progress)
+        done, failed, interrupted = _compute(prepared, batches, level, using, None, {}, progress)
         return _collect(prepared, batches, done, failed, None, interrupted)
-    folder = Path(out)
-    target = _open(folder, prepared, keep, size, dtype, resume, shard)
+    target = _open(Path(out), prepared, level, size, dtype, resume, shard)
+    if keep not in ("auto", target.keep):
+        raise StoreError(
+            f"{out} is of another experiment: keep was {target.keep!r} and is {keep!r}; "
+            "choose another --out"
+        )
     with target.lock(shard):
         done, corrupted = _finished(target)
         indices = range(len(target.batches)) if shard is None else _share(target, shard)
         wanted = {i: target.batches[i] for i in indices if i not in done}
-        done, failed, interrupted = _compute(
-            prepared, wanted, target.keep, using, target, done, progress
-        )
-        if interrupted:  # a worker may have written what it had no time to report
-            done = {**_finished(target)[0], **done}
-        if not done:
-            target.discard()
-        else:
+        try:
+            done, failed, interrupted = _compute(
+                prepared, wanted, target.keep, using, target, done, progress
+            )
+            if interrupted:  # a worker may have written what it had no time to report
+                done = {**_finished(target)[0], **done}
+        finally:
+            if not done and shard is None:
+                target.discard()
+        if done:
             target.close()
+    again = [i for i in corrupted if i in wanted]
     return _collect(
         prepared, target.batches, done, failed, target, interrupted,
-        [f"batch {i} of the store was corrupted and has been computed again" for i in corrupted],
+        [
+            *(notices if target.keep == level else ()),
+            *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
+        ],
     )  # fmt: skip
+
+
+def _level(
+    prepared: setup.Setup, keep: str, dtype: str, stored: bool
+) -> tuple[str, tuple[str, ...]]:
+    """What to keep of every run, and what to say of it."""
+    if keep != "auto":
+        return keep, ()
+    level = one.default_keep(prepared, dtype)
+    if level == "diagonal" or not stored:
+        return level, ()
+    size, most = (x / 2**30 for x in (one.trace_bytes(prepared, dtype), one.TRACES_BYTES))
+    return level, (
+        f"the traces of all runs would take {size:.3g} GiB, more than {most:.3g}: only averages "
+        "are stored; --keep diagonal stores the traces too",
+    )
+
+
+def _pool(
+    prepared: setup.Setup, kind: str, address: str | None, workers: int | None, size: int
+) -> executors.Pool:
+    """The workers, as many as fit."""
+    if kind == "auto":
+        scenario = prepared.scenario
+        steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
+        kind = executors.choose(steps, workers or executors.cpu_count())
+    return executors.pool(kind, workers or executors.fitting(kind, size), address)
 
 
 def _open(
@@ -186,26 +213,39 @@ def _compute(
     stopping = threading.Event()
     work = partial(worker.work, stop=stopping.is_set) if using.local else worker.work
     try:
-        for outcome in executors.execute(work, tasks, using, stopping.set):
-            if isinstance(outcome, executors.Failed):
-                if not done and not isinstance(outcome.error, ExecutorError):
-                    raise outcome.error  # nothing works: the input is at fault, not one batch
-                failed[outcome.task.index] = outcome.error
-                continue
-            task, result = outcome
-            if result is None:
-                continue
-            done[task.index] = result
-            finished += len(chosen[task.index])
-            if progress is not None:
-                progress(finished, total)
+        with closing(executors.execute(work, tasks, using, stopping.set)) as outcomes:
+            for outcome in outcomes:
+                if isinstance(outcome, executors.Failed):
+                    failed[outcome.task.index] = outcome.error
+                    _give_up(outcome.error, target, done, len(failed))
+                    continue
+                task, result = outcome
+                if result is None:
+                    continue
+                done[task.index] = result
+                finished += len(chosen[task.index])
+                if progress is not None:
+                    progress(finished, total)
     except KeyboardInterrupt:
         return done, failed, True
-    except BaseException:
-        if target is not None and not done:
-            target.discard()
-        raise
     return done, failed, False
+
+
+def _give_up(
+    error: Exception,
+    target: store.Store | None,
+    done: Mapping[int, dict[str, records.Record]],
+    failed: int,
+) -> None:
+    """Raise the error of a batch that says that the others will fail too."""
+    if isinstance(error, StoreError) and target is not None:
+        runs = sum(len(target.batches[i]) for i in done)
+        raise StoreError(
+            f"{error} ({runs} of {sum(map(len, target.batches))} runs are finished)"
+        ) from None
+    # Nothing works: the input is at fault, or the machine, not one batch.
+    if not done and (failed > 2 or not isinstance(error, ExecutorError)):
+        raise error
 
 
 def resolve(
@@ -240,72 +280,6 @@ def resolve(
     if "truth" in resolved.estimators:
         raise ScenarioError("estimators.truth: the label 'truth' is taken; choose another")
     return resolved
-
-
-def default_batch_size(prepared: setup.Setup, keep: str) -> int:
-    """Runs a batch: what fits `BATCH_BYTES`, at most 250 (caches), else a quarter of the runs.
-
-    It does not depend on the machine, so neither do the results, to the last bit.
-    """
-    space, runs = prepared.space, prepared.scenario.simulation.runs
-    a_step = 2 * space.nx + 3 * space.n + 4 + (space.n**2 if keep == "full" else 0)
-    a_run = 8 * a_step * len(prepared.times) * max(1, len(prepared.scenario.estimators))
-    return int(np.clip(BATCH_BYTES // a_run, 1, min(250, max(10, -(-runs // 4)))))
-
-
-def run_batch(
-    prepared: setup.Setup, runs: Sequence[int], keep: str, stop: Callable[[], bool] = lambda: False
-) -> Batch | None:
-    """Simulate some runs and every estimator on them; None when stopped."""
-    out = {}
-    truth: records.Record = {}
-    for label, traces in traced(prepared, runs, keep == "full", stop):
-        if traces is None:
-            return None
-        section = prepared.scenario.consistency
-        out[label] = records.reduce(traces, prepared.times, section, keep)
-        if keep != "summary":
-            x = {"x": np.swapaxes(traces.truth, 0, 1)}
-            if prepared.scenario.control.observe == "estimate":
-                out[label] |= x
-            else:
-                truth = x
-    return Batch(truth, out)
-
-
-def traced(
-    prepared: setup.Setup,
-    runs: Sequence[int],
-    keep_cov: bool = False,
-    stop: Callable[[], bool] = lambda: False,
-) -> Iterator[tuple[str, Traces | None]]:
-    """The traces of each estimator on some runs, one estimator after the other."""
-    period = prepared.plant.period
-    live = prepared.scenario.control.observe == "estimate"
-    trajectory: Trajectory | None = None
-    if not live:
-        trajectory = simulate(prepared.simulator(runs), prepared.controller(runs), period)
-    for label in prepared.scenario.estimators:
-        source = (
-            Recorded(prepared.instants, trajectory)
-            if trajectory is not None
-            else Live(prepared.simulator(runs), prepared.controller(runs), period)
-        )
-        mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
-        keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
-        try:
-            traces = run_filter(
-                prepared.estimator(label), prepared.space, (mean, cov), source,
-                prepared.channel_spaces,
-                delays=prepared.delays(label), keys=keys, keep_cov=keep_cov, stop=stop,
-            )  # fmt: skip
-        except EstbenchError:
-            raise
-        except Exception as error:  # a user's estimator may raise anything
-            raise EstimatorError(f"{label} raised {type(error).__name__}: {error}") from error
-        yield label, traces
-        if traces is None:
-            return
 
 
 def _collect(
@@ -343,11 +317,21 @@ def _collect(
         notices=(
             *prepared.notices,
             *notices,
-            *(
-                f"runs {batches[i].start}-{batches[i].stop - 1} are missing: {error}"
-                for i, error in sorted(failed.items())
-            ),
+            *_missing(batches, failed),
         ),
         folder=target.folder if target is not None else None,
         interrupted=interrupted,
+        failed=len(failed),
     )
+
+
+def _missing(batches: Sequence[range], failed: Mapping[int, Exception]) -> list[str]:
+    """What failed and why: a line for batches that follow each other and have the same reason."""
+    spans: list[tuple[int, int, str]] = []
+    for i, error in sorted(failed.items()):
+        runs, reason = batches[i], str(error)
+        if spans and spans[-1][1:] == (runs.start, reason):
+            spans[-1] = (spans[-1][0], runs.stop, reason)
+        else:
+            spans.append((runs.start, runs.stop, reason))
+    return [f"runs {start}-{stop - 1} are missing: {reason}" for start, stop, reason in spans]

@@ -1,7 +1,7 @@
 """What is kept of a batch of runs: named arrays with dimensions, the same in memory and on disk.
 
 A record is a function of `Traces`; the summary (per-run averages, per-step sums) is enough for
-every table, `diagonal` adds the traces to look at, `full` the covariances.
+every table, `diagonal` adds the traces to look at, `full` covariances and innovations.
 """
 
 from dataclasses import dataclass
@@ -47,6 +47,8 @@ SUMMARY = {
     "fault_step": Field(RUN, "i8", "instant of the failure, -1 = none"),
     "diverged": Field(RUN, "?", "failed, or NEES/n above the threshold for the duration"),
     "late": Field(RUN, "i8", "readings that came after the window and were not fused"),
+    "lags": Field((*RUN, "lag"), "f8", "sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations"),
+    "lag_terms": Field((*RUN, "lag"), "i8", "how many products of two numbers are in each"),
     "count": Field(STEP, "i8", "runs in the sums below: those that did not diverge"),
     "nees_sum": Field(STEP, "f8", "sum over runs of NEES"),
     "nis_sum": Field(STEP, "f8", "sum over runs of NIS"),
@@ -54,11 +56,6 @@ SUMMARY = {
     "square_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the squared error, (unit)²"),
     "variance_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the variance, (unit)²"),
 }
-LAGGED = {
-    "lags": Field((*RUN, "lag"), "f8", "sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations"),
-    "lag_terms": Field((*RUN, "lag"), "i8", "how many products of two numbers are in each"),
-}
-"""Recorded where SUMMARY holds them: a store's template must then know `SIZES`."""
 SIZES = {"lag": LAGS + 1}
 """Dimensions that are the same whatever the scenario."""
 COST = {"cpu_time": Field(RUN, "f8", "core time of predict and update, s")}
@@ -71,8 +68,14 @@ DIAGONAL = {
     "nis": Field(EACH, "f8", "normalized innovation squared, NaN where nothing arrived"),
     "dof": Field(EACH, "i8", "dimension of the innovation"),
 }
-FULL = {"cov": Field((*EACH, "coordinate", "coordinate_"), "f8", "P in the tangent at x̂")}
-RESERVED = {"run", "time", "coordinate", "coordinate_", "unit", "done", "truth"}
+FULL = {
+    "cov": Field((*EACH, "coordinate", "coordinate_"), "f8", "P in the tangent at x̂"),
+    "innovation": Field((*EACH, "reading"), "f8", "ν = y ⊖ ŷ, NaN where nothing was fused"),
+    "innovation_cov": Field((*EACH, "reading", "reading_"), "f8", "S of what was fused together"),
+}
+RESERVED = {
+    "run", "time", "coordinate", "coordinate_", "unit", "reading", "reading_", "done", "truth",
+}  # fmt: skip
 """What stands beside the estimators in a store, so that none may be called so."""
 TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}
 
@@ -123,6 +126,8 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
         "fault_step": traces.fault_step,
         "diverged": diverged,
         "late": traces.late,
+        "lags": traces.lags,
+        "lag_terms": traces.lag_terms,
         "cpu_time": np.full(len(good), traces.cpu_time / len(good)),
         "count": np.full((1, len(times)), good.sum()),
         "nees_sum": traces.nees[:, good].sum(axis=1)[None],
@@ -131,7 +136,6 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
         "square_sum": square[:, good].sum(axis=1)[None],
         "variance_sum": variance[:, good].sum(axis=1)[None],
     }
-    record |= {name: getattr(traces, name) for name in LAGGED if name in SUMMARY}
     if keep != "summary":
         for name, value in (
             ("estimate", traces.mean), ("error", traces.error), ("std", traces.std),

@@ -43,6 +43,7 @@ class Results:
         notices: what was assumed where the scenario is silent.
         folder: where it was written, or None.
         interrupted: whether Ctrl-C cut it short.
+        failed: batches that could not be computed; a notice says why.
     """
 
     scenario: Scenario
@@ -55,6 +56,7 @@ class Results:
     notices: tuple[str, ...]
     folder: Path | None
     interrupted: bool
+    failed: int = 0
 
     def __getitem__(self, label: str) -> Summary:
         return {s.label: s for s in self.summaries}[label]

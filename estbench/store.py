@@ -2,14 +2,15 @@
 
 The template comes first; a batch of runs is one zarr chunk of every array, so that no two batches
 write the same file, and `done[run]` is set last. An unfinished store is readable (take the runs
-that are done) and can be gone on with. Every chunk carries a checksum.
+that are done) and can be gone on with. A chunk appears whole or not at all (it is renamed into its
+place), carries a checksum, and is written even where every value is the fill value: a batch that is
+marked done and lacks one, as after a power cut, is known to be damaged.
 """
 
 import contextlib
 import errno
 import fcntl
 import json
-import platform
 import re
 import shutil
 import tomllib
@@ -18,22 +19,19 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 import zarr
-from zarr.codecs import Crc32cCodec
 
 from estbench.errors import StoreError
 from estbench.records import COST, SUMMARY, TRUTH, Field, Record, fields
-from estbench.scenario import Scenario
 from estbench.setup import Setup
+from estbench.template import declare
 
 STORE, SCENARIO, COSTS = "data.zarr", "scenario.toml", "costs"
-DONE = Field(("run",), "?", "the run is complete; ignore the others")
 
 
 def default_folder(name: str) -> Path:
@@ -57,8 +55,9 @@ class Store:
         self._live = live
         self.batches = list(batches)
         self._keep = keep
-        self._made: list[Path] = []
+        self._made: list[Path] | None = None
         self._root = zarr.open_group(str(folder / STORE), mode="r+", zarr_format=3)
+        self._arrays: dict[str, Any] = {}
 
     @classmethod
     def create(
@@ -90,7 +89,7 @@ class Store:
             (draft / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
             (draft / COSTS).mkdir()
             root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
-            _template(root, setup, keep, batches, dtype)
+            declare(root, setup, keep, batches, dtype)
             draft.rename(folder)
         except BaseException as error:
             _remove(draft, made)
@@ -112,7 +111,12 @@ class Store:
         """
         if not (folder / STORE).is_dir() or not (folder / SCENARIO).is_file():
             raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
-        before = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8"))
+        try:
+            before = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise StoreError(
+                f"{folder / SCENARIO} cannot be read: {error}; choose another --out"
+            ) from None
         now = tomllib.loads(setup.scenario.to_toml())
         for key in sorted(_differing(before, now)):
             raise StoreError(
@@ -149,8 +153,8 @@ class Store:
             for group, record in {"truth": truth, **records}.items():
                 for name, value in record.items():
                     if name not in COST:
-                        self._root[f"{group}/{name}"][self._where(group, name, batch)] = value  # type: ignore[index]
-            self._root["done"][runs] = True  # type: ignore[index]
+                        self._array(f"{group}/{name}")[self._where(group, name, batch)] = value
+            self._array("done")[runs] = True
         except OSError as error:
             raise _unwritable(self.folder, error) from None
 
@@ -158,12 +162,12 @@ class Store:
         """Whether the batch's runs are all marked done (the mark itself may be corrupted)."""
         runs = slice(self.batches[batch].start, self.batches[batch].stop)
         try:
-            return bool(np.asarray(self._root["done"][runs]).all())  # type: ignore[index]
+            return bool(np.asarray(self._array("done")[runs]).all())
         except (OSError, ValueError, KeyError, RuntimeError):
             return False
 
     def read(self, batch: int, check: bool = True) -> dict[str, Record] | None:
-        """The summary records of a finished batch, or None when a chunk of it is corrupted.
+        """The summary records of a finished batch, or None when a chunk is corrupted or missing.
 
         Args:
             batch: its index.
@@ -175,10 +179,14 @@ class Store:
             groups = [g for g in self._root.group_keys() if g != "truth"]
             for group in sorted(self._root.group_keys()) if check else groups:
                 table = self._fields(group)
+                names = [name for name in table if check or name in SUMMARY]
+                if not all(self._chunk(group, name, batch).is_file() for name in names):
+                    return None
                 values = {
-                    name: np.asarray(self._root[f"{group}/{name}"][self._where(group, name, batch)])  # type: ignore[index]
-                    for name in table
-                    if check or name in SUMMARY
+                    name: np.asarray(
+                        self._array(f"{group}/{name}")[self._where(group, name, batch)]
+                    )
+                    for name in names
                 }
                 if group != "truth":
                     out[group] = {name: values[name] for name in SUMMARY}
@@ -194,20 +202,22 @@ class Store:
         """Hold the store: one process alone, or one process a shard; freed when a process dies.
 
         Raises:
-            StoreError: another process holds it.
+            StoreError: another process holds it, or the file system cannot lock.
         """
         with contextlib.ExitStack() as held:
             names = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
             if shard is not None:
                 names.append((f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX))
             for name, mode in names:
-                file = held.enter_context((self.folder / name).open("w"))
                 try:
+                    file = held.enter_context((self.folder / name).open("w"))
                     fcntl.flock(file, mode | fcntl.LOCK_NB)
-                except OSError:
+                except BlockingIOError:
                     raise StoreError(
                         f"another process is writing to {self.folder}; wait for it, or use --shard"
                     ) from None
+                except OSError as error:
+                    raise _unwritable(self.folder, error) from None
             yield
 
     def close(self) -> None:
@@ -224,8 +234,21 @@ class Store:
             raise _unwritable(self.folder, error) from None
 
     def discard(self) -> None:
-        """Remove the folder, and the parents made for it: nothing in it was finished."""
-        _remove(self.folder, self._made)
+        """Remove the folder, and the parents made for it, if this object made it."""
+        if self._made is not None:
+            _remove(self.folder, self._made)
+
+    def _array(self, path: str) -> Any:
+        """An array of the store; opening one reads its metadata, so it is kept."""
+        if path not in self._arrays:
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                self._arrays[path] = self._root[path]
+        return self._arrays[path]
+
+    def _chunk(self, group: str, name: str, batch: int) -> Path:
+        """The file that holds a batch of an array; it is one chunk in every other dimension."""
+        others = ["0"] * (len(self._fields(group)[name].dims) - 1)
+        return self.folder.joinpath(STORE, group, name, "c", str(batch), *others)
 
     def _fields(self, group: str) -> dict[str, Field]:
         return TRUTH if group == "truth" else fields(self._keep, self._live)
@@ -270,70 +293,6 @@ def _value(table: Any, path: str) -> Any:
     for key in path.split("."):
         table = table.get(key) if isinstance(table, dict) else None
     return table
-
-
-def _template(
-    root: zarr.Group, setup: Setup, keep: str, batches: Sequence[range], dtype: str
-) -> None:
-    """Declare every array, with one chunk a batch and a checksum on every chunk."""
-    space = setup.space
-    sizes = {
-        "run": setup.scenario.simulation.runs,
-        "time": len(setup.times),
-        "batch": len(batches),
-        "coordinate": space.n,
-        "coordinate_": space.n,
-        "state": space.nx,
-    }
-    chunk = {**sizes, "run": len(batches[0]), "batch": 1}
-    root.attrs.update(
-        {**provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]), "dtype": dtype}
-    )
-    root.create_array("run", data=np.arange(sizes["run"]), dimension_names=("run",))
-    root.create_array("time", data=setup.times, dimension_names=("time",)).attrs["units"] = "s"
-    for name, dim, values in (
-        ("coordinate", "coordinate", space.names),
-        ("coordinate_", "coordinate_", space.names),
-        ("unit", "coordinate", space.units),
-    ):
-        # Strings of variable length: the only ones that zarr 3 has a specification for.
-        labels = root.create_array(
-            name, shape=(len(values),), dtype=str, dimension_names=(dim,)  # type: ignore[arg-type]
-        )  # fmt: skip
-        labels[:] = np.array(values, dtype=object)
-
-    def declare(group: str, table: dict[str, Field], kind: str | None = None) -> None:
-        for name, field in table.items():
-            array = root.create_array(
-                f"{group}/{name}".strip("/"),
-                shape=tuple(sizes[d] for d in field.dims),
-                chunks=tuple(chunk[d] for d in field.dims),
-                dtype=kind if kind and field.dtype == "f8" else field.dtype,
-                dimension_names=field.dims,
-                fill_value=np.nan if field.dtype.startswith("f") else 0,
-                compressors=Crc32cCodec(),  # noise does not compress; corruption must not pass
-            )
-            array.attrs["meaning"] = field.meaning
-
-    declare("", {"done": DONE})
-    traces = {k: v for k, v in fields(keep, _live(setup)).items() if k not in SUMMARY}
-    for label in setup.scenario.estimators:
-        declare(label, SUMMARY)
-        declare(label, traces, dtype)
-    if keep != "summary" and not _live(setup):
-        declare("truth", TRUTH, dtype)
-
-
-def provenance(scenario: Scenario) -> dict[str, Any]:
-    """Versions and seed as attributes: a function of the scenario and what is installed."""
-    packages = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
-    return {
-        "scenario": scenario.name,
-        "seed": scenario.simulation.seed,
-        "versions": {name: version(name) for name in packages}
-        | {"python": platform.python_version()},
-        "estimators": list(scenario.estimators),
-    }
 
 
 def open_results(folder: str | Path) -> xr.DataTree:

@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from estbench import records, scenario, setup
+from estbench.batches import run_batch
 from estbench.models.rows import engine
 from estbench.store import Store
 
@@ -35,8 +36,6 @@ def work(task: Task, stop: Callable[[], bool] = lambda: False) -> dict[str, reco
     Raises:
         EstbenchError: the batch cannot be computed or written.
     """
-    from estbench.experiment import run_batch  # it imports this module
-
     prepared = _prepared(task.toml)
     runs = range(*task.runs)
     with engine():

@@ -222,6 +222,16 @@ def test_ctrl_c_in_the_middle(folder, monkeypatch, capfd):
         assert 15 <= int(tree["done"].sum()) == int(found[1]) < 60
 
 
+def test_runs_that_are_missing_are_named_and_change_the_exit_code(call):
+    greedy = "tests.test_faults:Greedy"  # finds no memory for the last batch, which has two runs
+    code, out, _ = call("run", "pendulum", "-e", greedy, "--runs", "32", "--duration", "0.1",
+                        "--out", "x")  # fmt: skip
+    assert code == 1
+    assert "note: runs 30-31 are missing: no memory, 3 times" in out
+    with estbench.open_results("x") as tree:
+        assert int(tree["done"].sum()) == 30
+
+
 # What does not: one line that says what, exit code 2, nothing left behind
 
 USER = ("run", "cartpole", *SHORT, "--set", "control.kind=user", "--set")
@@ -342,6 +352,10 @@ BAD = {
     "duration nan": (("run", "cartpole", "--duration", "nan"), "simulation.duration: .*finite"),
     "seed": (("run", "cartpole", "--seed", "-1"), "simulation.seed: .*got -1"),
     "burn in": (("run", "cartpole", "--set", "consistency.burn_in=5"), "burn_in is 5 s, which"),
+    "shard": (("run", "cartpole", "--shard", "5/4"), r"shard is 5/4; use i/n with 1 <= i <= n"),
+    "shard in words": (("run", "cartpole", "--shard", "one"), "--shard is 'one'; use I/N"),
+    "resume nowhere": (("run", "cartpole", "--resume", "--out", "taken"), "holds no data.zarr"),
+    "dask": (("run", "cartpole", "--executor", "dask"), "needs the scheduler's address"),
     # the words of typer
     "runs x": (("run", "cartpole", "--runs", "x"), "Invalid value for '--runs'.* see estbench run"),
     "no number": (("run", "cartpole", "--runs"), "--runs.* requires an argument"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench import experiment, records, setup
+from estbench import batches, experiment, records, setup, worker
 from estbench.errors import ControllerError, EstbenchError, EstimatorError, ScenarioError
 from estbench.estimators.ekf import EKF
 from tests.test_filtering import Plain
@@ -22,8 +22,10 @@ def assert_same(a, b, rtol=0.0, fields=COMPARED):
     assert a.keys() == b.keys()
     for label in a:
         for name in fields:
+            # Sums of products of either sign are as exact as their terms are large: as lag 0 is.
+            atol = rtol * (np.abs(b[label][name]).max() if name == "lags" else 1.0)
             np.testing.assert_allclose(
-                a[label][name], b[label][name], rtol=rtol, atol=rtol, err_msg=f"{label} {name}"
+                a[label][name], b[label][name], rtol=rtol, atol=atol, err_msg=f"{label} {name}"
             )
 
 
@@ -202,7 +204,7 @@ class Frozen(EKF):
 
 
 def test_ctrl_c_keeps_the_finished_runs(tmp_path):
-    calls = []
+    calls, threads = [], threading.active_count()  # other tests' libraries leave some
 
     def progress(done, total):
         calls.append((done, total))
@@ -229,7 +231,7 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path):
             np.testing.assert_array_equal(a[group][name][stored], b[group][name][stored])
     assert "interrupted: 12 of 24 runs" in str(cut)
     assert cut.to_dict()["interrupted"] is True
-    assert threading.active_count() < 10
+    assert threading.active_count() < threads + 6  # zarr's own
     assert not [t for t in threading.enumerate() if t.name.startswith("estbench")]
 
 
@@ -237,7 +239,7 @@ def test_ctrl_c_before_the_first_batch_leaves_nothing(tmp_path, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(experiment, "run_batch", interrupt)
+    monkeypatch.setattr(worker, "run_batch", interrupt)
     with pytest.raises(EstbenchError, match="interrupted before the first batch"):
         run(out=tmp_path / "new" / "x")
     assert list(tmp_path.iterdir()) == []
@@ -338,3 +340,29 @@ def test_default_batches_do_not_depend_on_the_machine(monkeypatch):
     before = size(runs=500)
     monkeypatch.setattr(experiment.executors, "cpu_count", lambda: 64)
     assert size(runs=500) == before
+
+
+# What is kept
+
+
+def test_traces_are_kept_while_they_are_small(tmp_path, monkeypatch):
+    prepared = setup.build(experiment.resolve("cartpole", ["ekf", "ukf"], runs=24, duration=0.3))
+    assert batches.default_keep(prepared) == "diagonal"
+    run(out=tmp_path / "small", estimators=["ekf", "ukf"])
+    with estbench.open_results(tmp_path / "small") as tree:
+        tree = tree.load()
+        names = (*records.DIAGONAL, "x")
+        groups = [tree[g].data_vars for g in ("ekf", "ukf", "truth")]
+        stored = sum(g[n].nbytes for g in groups for n in names if n in g)
+    assert batches.trace_bytes(prepared) == stored
+    monkeypatch.setattr(batches, "TRACES_BYTES", stored - 1)
+    assert batches.default_keep(prepared, "float32") == "diagonal"
+    large = run(out=tmp_path / "large", estimators=["ekf", "ukf"])
+    with estbench.open_results(tmp_path / "large") as tree:
+        assert set(tree["ekf"].data_vars) == set(records.SUMMARY)
+    assert any("only averages are stored; --keep diagonal" in n for n in large.notices)
+    asked = run(out=tmp_path / "asked", estimators=["ekf", "ukf"], keep="diagonal")
+    assert not asked.notices
+    assert_same(large.records, asked.records)
+    again = run(out=tmp_path / "asked", estimators=["ekf", "ukf"], resume=True)
+    assert again["ekf"].anees == asked["ekf"].anees

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import estbench
-from estbench import executors, experiment, setup, store
+from estbench import cluster, executors, experiment, setup, store
 from estbench.errors import ExecutorError, StoreError
 
 ARGUMENTS = {"estimators": ["ekf"], "runs": 40, "duration": 0.3, "batch_size": 5}
@@ -208,8 +208,8 @@ def test_an_unknown_executor_and_a_missing_address():
 
 def test_an_unreachable_scheduler_is_named_in_time(monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    assert executors.TIMEOUT == 15.0
-    monkeypatch.setattr(executors, "TIMEOUT", 1.0)
+    assert cluster.TIMEOUT <= 10.0  # importing the library takes its time too
+    monkeypatch.setattr(cluster, "TIMEOUT", 1.0)
     began = time.monotonic()
     with pytest.raises(ExecutorError, match=r"tcp://127\.0\.0\.1:9"):
         executors.pool("dask", 1, "tcp://127.0.0.1:9")
@@ -220,17 +220,17 @@ def test_a_dask_cluster_with_a_killed_worker_gives_the_same_store(whole, tmp_pat
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
+    ) as local:
         killed = []
 
         def kill_one(done, total):
             if not killed:
-                nanny = next(iter(cluster.workers.values()))
+                nanny = next(iter(local.workers.values()))
                 killed.append(nanny.pid)
                 os.kill(nanny.pid, signal.SIGKILL)
 
         results = run(
-            tmp_path / "x", executor="dask", address=cluster.scheduler_address, progress=kill_one
+            tmp_path / "x", executor="dask", address=local.scheduler_address, progress=kill_one
         )
     assert killed
     assert len(results.runs) == 40

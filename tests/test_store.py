@@ -176,7 +176,7 @@ def test_a_template_that_cannot_be_finished_is_removed(error, tmp_path, monkeypa
     def fail(*arguments):
         raise error
 
-    monkeypatch.setattr(store, "_template", fail)
+    monkeypatch.setattr(store, "declare", fail)
     expected = StoreError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected):
         fresh(tmp_path / "new" / "x")

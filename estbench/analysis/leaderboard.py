@@ -20,7 +20,7 @@ from estbench.errors import AnalysisError, DimensionError, EstimatorError, Store
 from estbench.results import Results
 from estbench.scenario import bundled
 from estbench.statistics import Summary
-from estbench.store import provenance
+from estbench.template import provenance
 
 RUNS = 60
 """By default: all of it takes minutes on two cores, and NEES/n is known to a few percent."""
