@@ -21,7 +21,7 @@ from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean
 from estbench.executors import cpu_count
 from estbench.models.rows import engine
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 
 Array = NDArray[np.float64]
 TRUTH, RAW = "truth", "raw"

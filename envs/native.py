@@ -15,7 +15,7 @@ from estbench.envs.keys import draw_key
 from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 
 Array = NDArray[np.float64]
 ONE = np.ones(1, bool)

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.models.layout import BALL, FREE, object_name
-from estbench.scenario import ChannelSection
+from estbench.sections import ChannelSection
 
 Table = dict[str, dict[str, Any]]
 """Channel -> settings of `[channels.NAME]`; `type` and `object` may stand beside `noise`."""

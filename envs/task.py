@@ -10,7 +10,7 @@ from estbench.errors import CovarianceError
 from estbench.models import mjcf
 from estbench.models.layout import actuator_names
 from estbench.naming import expand
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from estbench.envs.rendering import GhostRenderer
 from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.world import World, prepare
 from estbench.executors import cpu_count
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 
 Array = NDArray[np.float64]
 

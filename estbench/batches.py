@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from estbench import records, setup, streams
 from estbench.errors import EstbenchError, EstimatorError
-from estbench.filtering import Live, Recorded, Traces, run_filter
+from estbench.filtering import Live, Recorded, run_filter
 from estbench.innovations import Listened, listen, readings
+from estbench.traces import Traces
 from estbench.truth import Trajectory, simulate
 
 Array = NDArray[np.float64]

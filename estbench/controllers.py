@@ -22,7 +22,7 @@ from estbench.manifold import Manifold
 from estbench.models.layout import actuator_names
 from estbench.models.rows import Rows
 from estbench.naming import expand
-from estbench.scenario import ControlSection
+from estbench.sections import ControlSection
 
 Array = NDArray[np.float64]
 Controller = Callable[[int, float, Array], Array]

@@ -7,7 +7,7 @@ from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.imperfections import Imperfections
 from estbench.linalg import is_positive_definite
 from estbench.manifold import Manifold
-from estbench.scenario import ChannelSection
+from estbench.sections import ChannelSection
 
 Array = NDArray[np.float64]
 

@@ -211,7 +211,9 @@ def _compute(
     failed: dict[int, Exception] = {}
     total, finished = sum(map(len, chosen.values())), 0
     stopping = threading.Event()
-    work = partial(worker.work, stop=stopping.is_set) if using.local else worker.work
+    work = worker.work
+    if using.local:
+        work = partial(work, stop=stopping.is_set, prepared=prepared)
     try:
         with closing(executors.execute(work, tasks, using, stopping.set)) as outcomes:
             for outcome in outcomes:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from estbench.analysis import coverage
 from estbench.analysis.coverage import SIGMAS
 from estbench.consistency import diverged_runs
-from estbench.filtering import Traces
 from estbench.lags import LAGS
-from estbench.scenario import ConsistencySection
+from estbench.sections import ConsistencySection
+from estbench.traces import Traces
 
 Array = NDArray[np.float64]
 Record = dict[str, NDArray[Any]]

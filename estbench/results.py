@@ -14,7 +14,7 @@ from rich.text import Text
 
 from estbench.consistency import Interval, Verdict
 from estbench.records import Record
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 from estbench.statistics import Summary
 
 Array = NDArray[np.float64]

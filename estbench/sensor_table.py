@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estbench.imperfections import Imperfections
-from estbench.scenario import BelievedChannelSection
+from estbench.sections import BelievedChannelSection
 from estbench.sensors import Channel
 from estbench.setup import Setup
 

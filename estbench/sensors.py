@@ -16,7 +16,7 @@ from estbench.manifold import Manifold
 from estbench.models import layout
 from estbench.models.mujoco import whole_steps
 from estbench.models.reading import Source, StateFunction
-from estbench.scenario import BelievedChannelSection, ChannelSection
+from estbench.sections import BelievedChannelSection, ChannelSection
 from estbench.timing import Native, Timing
 
 Array = NDArray[np.float64]

@@ -2,51 +2,41 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import controllers, schedules, sensors, starting, timing
+from estbench import controllers, resolution, sensors, starting, timing
 from estbench import scenario as scenarios
 from estbench.errors import (
-    CovarianceError,
     DimensionError,
     EstimatorError,
     ScenarioError,
-    did_you_mean,
 )
 from estbench.estimators import registry
 from estbench.estimators.adaptive import AdaptiveEKF
 from estbench.estimators.base import Estimator
 from estbench.filtering import Delays
-from estbench.linalg import is_positive_definite
 from estbench.manifold import Manifold
 from estbench.models import layout, mjcf
 from estbench.models.differences import Differences
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
-from estbench.models.reading import Source
-from estbench.naming import expand
 from estbench.records import RESERVED
-from estbench.scenario import (
+from estbench.sections import (
     BelievedChannelSection,
-    FilterSection,
-    InitialSection,
-    ProcessNoiseSection,
     Scenario,
     StartSection,
 )
 from estbench.sensors import Channel
 from estbench.smoothers.estimators import MAP
-from estbench.timing import Instant, Native
+from estbench.timing import Instant
 from estbench.truth import Simulator
 
 Array = NDArray[np.float64]
-
-DEFAULT_DENSITY = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,17 +225,17 @@ def build(scenario: Scenario) -> Setup:
         scenario.sensors,
         section.frame_skip,
         duration,
-        _native_timing(spec, truth),
+        resolution.native_timing(spec, truth),
         belief.channels,
     )
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
     truth.sensor_cutoff[np.isfinite(sensors.native_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
-    mean, cov = _initial(scenario.initial, truth, space, x0)
+    mean, cov = resolution.initial(scenario.initial, truth, space, x0)
     instants = timing.instants(
         [(c.name, c.timing) for c in channels], truth.opt.timestep, section.frame_skip, duration
     )
-    notices += _silent(channels, instants[-1])
+    notices += resolution.silent(channels, instants[-1])
     burn_in, end = scenario.consistency.burn_in, instants[-1].end
     if burn_in >= end:
         raise ScenarioError(
@@ -254,13 +244,13 @@ def build(scenario: Scenario) -> Setup:
         )
     for dt in {round(i.end - i.start, 12) for i in instants}:
         whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
-    disturbance = _disturbance(scenario.process_noise, truth, space, duration, notices)
-    _note_defaults(scenario, truth, notices)
+    disturbance = resolution.disturbance(scenario.process_noise, truth, space, duration, notices)
+    resolution.note_defaults(scenario, truth, notices)
     setup = Setup(
         scenario=scenario,
         plant=controllers.Plant(truth, space, x0, u0, section.frame_skip),
         filter_model=believed,
-        filter_channels=_believed_channels(believed, channels, belief),
+        filter_channels=resolution.believed_channels(believed, channels, belief),
         channels=tuple(channels),
         instants=tuple(instants),
         disturbance=disturbance,
@@ -283,145 +273,6 @@ def build(scenario: Scenario) -> Setup:
         mjcf.parameter(truth, key, "truth.draw")
     setup.controller([0])
     return setup
-
-
-def _disturbance(
-    section: ProcessNoiseSection,
-    model: mujoco.MjModel,
-    space: Manifold,
-    duration: float,
-    notices: list[str],
-) -> Disturbance:
-    """The true process noise."""
-    density = section.density
-    if density is None:
-        density = DEFAULT_DENSITY
-        if section.kind == "additive":
-            # Noise on the velocities alone: positions then move as their derivatives say.
-            values = np.zeros(space.n)
-            values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
-            density = values.tolist()
-        if section.matrix is None:
-            what = {"additive": "every velocity, (unit)²/s", "force": "every force, (N or N m)² s"}
-            where = what.get(section.kind, "every control, (unit)² s")
-            notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {where}")
-    disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
-    axes, where = len(disturbance.density), "process_noise.schedule"
-    schedule = schedules.build(section.schedule, axes, duration, where)
-    if schedule is not None:
-        disturbance = replace(disturbance, schedule=schedule.at)
-    if not disturbance.rank:
-        notices.append("process noise is zero: an estimator's gain will vanish with time")
-    return disturbance
-
-
-def _note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:
-    """Say which defaults stand in for sections that the scenario leaves out."""
-    given = scenario.model_fields_set
-    if scenario.model.keyframe is None:
-        first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
-        notices.append(f"no model.keyframe given; starting about {first}")
-    if "initial" not in given:
-        notices.append(f"no [initial] given; assuming a std of {scenario.initial.std} everywhere")
-    if "control" not in given:
-        notices.append("no [control] given; holding the nominal control")
-    if "simulation" not in given:
-        simulation = scenario.simulation
-        notices.append(
-            f"no [simulation] given; {simulation.runs} runs of {simulation.duration:g} s, "
-            f"seed {simulation.seed}"
-        )
-
-
-def _initial(
-    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Array
-) -> tuple[Array, Array]:
-    """x̂₀ and P₀."""
-    mean = x0.copy()
-    parts = {
-        "qpos": slice(0, model.nq),
-        "qvel": slice(model.nq, model.nq + model.nv),
-        "act": slice(model.nq + model.nv, None),
-    }
-    for name, part in parts.items():
-        given = getattr(section, name)
-        if given is not None:
-            if len(given) != len(mean[part]):
-                raise DimensionError(
-                    f"initial.{name} has {len(given)} values; expected {len(mean[part])}"
-                )
-            mean[part] = given
-    mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
-    if section.cov is None:
-        std = expand(section.std, space.names, "initial.std")
-        if not (std > 0).all():
-            worst = int(std.argmin())
-            raise CovarianceError(
-                f"initial.std is {std[worst]:g} for {space.names[worst]}; P₀ must be positive "
-                "definite, so give every coordinate a std above 0 (later patterns win)"
-            )
-        return mean, np.diag(std**2)
-    cov = np.asarray(section.cov, dtype=np.float64)
-    if cov.shape != (space.n, space.n):
-        raise DimensionError(
-            f"initial.cov has shape {cov.shape}; expected {(space.n, space.n)} "
-            f"({', '.join(space.names)})"
-        )
-    if not is_positive_definite(cov):
-        raise CovarianceError("initial.cov (P₀) is not symmetric positive definite")
-    return mean, cov
-
-
-def _believed_channels(
-    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection
-) -> tuple[SensorChannel, ...]:
-    """The channels as the filter believes them, their sensors found by name in its model."""
-    names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
-    known = [c.name for c in channels]
-    for name in section.channels:
-        if name not in known:
-            raise ScenarioError(f"filter.channels: no channel '{name}'{did_you_mean(name, known)}")
-    out = []
-    for channel in channels:
-        belief = section.channels.get(channel.name, BelievedChannelSection())
-        R = section.measurement_noise_scale * sensors.believed_covariance(channel, belief)
-        follow = channel.schedule is not None and belief.follow_schedule
-        scale = channel.schedule.at if channel.schedule is not None and follow else None
-        source = channel.source
-        if not source.function:
-            missing = [name for name in channel.sensors if name not in names]
-            if missing:
-                raise ScenarioError(
-                    f"filter.path: the filter's model has no sensor {', '.join(missing)}"
-                )
-            indices = [names.index(name) for name in channel.sensors]
-            source = Source.of_sensors(model, *indices, axes=source.axes)
-        out.append(SensorChannel(channel.name, -1, R, scale, source))
-    return tuple(out)
-
-
-def _native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Native]:
-    """Sensor -> its rhythm by the MJCF, for the sensors that have a history."""
-    return {
-        layout.sensor_name(model, i): Native(
-            float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
-            int(sensor.nsample),
-        )
-        for i, sensor in enumerate(spec.sensors)
-        if sensor.nsample > 0
-    }  # fmt: skip
-
-
-def _silent(channels: Sequence[Channel], last: Instant) -> list[str]:
-    """A notice of each channel of which nothing can arrive before the run ends."""
-    notices = []
-    for channel in channels:
-        due = channel.timing.due(last.tick)
-        if not len(due) or due[0] + channel.timing.latency > last.tick:
-            notices.append(
-                f"{channel.name}: its first reading would arrive after the run of {last.end:g} s"
-            )
-    return notices
 
 
 def _check_window(setup: Setup) -> None:

@@ -16,7 +16,7 @@ from estbench.consistency import (
 )
 from estbench.estimators.base import Fault
 from estbench.records import Record
-from estbench.scenario import ConsistencySection
+from estbench.sections import ConsistencySection
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from zarr.codecs import Crc32cCodec
 
 from estbench.innovations import readings
 from estbench.records import SIZES, SUMMARY, TRUTH, Field, fields
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 from estbench.setup import Setup
 
 DONE = Field(("run",), "?", "the run is complete; ignore the others")

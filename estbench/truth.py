@@ -18,7 +18,7 @@ from estbench.models.disturbance import Disturbance
 from estbench.models.reading import Plan
 from estbench.models.rows import Rows
 from estbench.readings import Delivery, Readings
-from estbench.scenario import Draw
+from estbench.sections import Draw
 from estbench.sensors import Channel
 from estbench.timing import Instant
 

@@ -30,13 +30,22 @@ class Task:
     runs: tuple[int, int]
 
 
-def work(task: Task, stop: Callable[[], bool] = lambda: False) -> dict[str, records.Record] | None:
+def work(
+    task: Task,
+    stop: Callable[[], bool] = lambda: False,
+    prepared: setup.Setup | None = None,
+) -> dict[str, records.Record] | None:
     """Compute and write a batch; its summary records, or None when `stop` answered True.
+
+    Args:
+        task: what to do.
+        stop: asked at every instant.
+        prepared: what the task's scenario stands for, where the caller shares its memory.
 
     Raises:
         EstbenchError: the batch cannot be computed or written.
     """
-    prepared = _prepared(task.toml)
+    prepared = prepared or _prepared(task.toml)
     runs = range(*task.runs)
     with engine():
         batch = run_batch(prepared, runs, task.keep, stop)

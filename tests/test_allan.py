@@ -5,7 +5,7 @@ import pytest
 
 from estbench import allan, experiment, sensors, setup
 from estbench.errors import EstbenchError
-from estbench.scenario import ChannelSection
+from estbench.sections import ChannelSection
 from tests.helpers import zoo_model
 
 

@@ -8,7 +8,7 @@ import estbench
 from estbench import controllers, experiment, setup
 from estbench.errors import ControllerError, DimensionError, ScenarioError
 from estbench.models.rows import Rows
-from estbench.scenario import ControlSection
+from estbench.sections import ControlSection
 from tests.helpers import zoo_model
 
 

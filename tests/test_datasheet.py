@@ -4,7 +4,7 @@ import pytest
 from estbench import datasheet, sensors, setup
 from estbench.errors import CovarianceError, DimensionError, EstbenchError, ScenarioError
 from estbench.experiment import resolve
-from estbench.scenario import ChannelSection
+from estbench.sections import ChannelSection
 from tests.helpers import zoo_model
 
 

@@ -19,7 +19,7 @@ import pytest
 import estbench
 from estbench import cli, experiment
 from estbench.errors import MissingExtraError
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 
 ROOT = Path(__file__).parents[1]
 PAGES = [p for p in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if p.is_file()]

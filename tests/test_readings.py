@@ -9,7 +9,8 @@ import pytest
 from estbench import sensors, setup
 from estbench.models.rows import engine
 from estbench.readings import Readings
-from estbench.scenario import ChannelSection, load
+from estbench.scenario import load
+from estbench.sections import ChannelSection
 from estbench.timing import instants
 from estbench.truth import simulate
 from tests.helpers import SENSORS, zoo_model

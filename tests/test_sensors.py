@@ -5,7 +5,7 @@ from scipy import stats
 
 from estbench import sensors
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
-from estbench.scenario import BelievedChannelSection, ChannelSection
+from estbench.sections import BelievedChannelSection, ChannelSection
 from estbench.timing import Native, Timing, instants
 from tests.helpers import zoo_model
 

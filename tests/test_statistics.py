@@ -7,8 +7,8 @@ from scipy import stats
 from estbench import records, statistics
 from estbench.consistency import Verdict
 from estbench.estimators.base import Fault
-from estbench.filtering import Traces
-from estbench.scenario import ConsistencySection
+from estbench.sections import ConsistencySection
+from estbench.traces import Traces
 
 TIMES = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 SECTION = ConsistencySection(burn_in=0.1, divergence_threshold=10.0, divergence_duration=0.2)

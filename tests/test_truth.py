@@ -10,7 +10,7 @@ from estbench.models import mjcf
 from estbench.models.disturbance import Disturbance
 from estbench.models.layout import state_space
 from estbench.models.rows import Rows, engine
-from estbench.scenario import Draw
+from estbench.sections import Draw
 from tests.helpers import random_states, zoo_model
 
 

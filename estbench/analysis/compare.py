@@ -12,7 +12,7 @@ from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load
 from estbench.consistency import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 
 Array = NDArray[np.float64]
 OWN = {"name", "description", "estimators", "filter", "consistency", "task"}

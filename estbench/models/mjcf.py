@@ -66,7 +66,7 @@ def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:
 
     Args:
         path: as for `locate`.
-        sensors: name -> object with `type`, `object`, `object_type` (see `scenario.AddSensor`).
+        sensors: name -> object with `type`, `object`, `object_type` (see `sections.AddSensor`).
 
     Raises:
         ScenarioError: the MJCF cannot be parsed, or a sensor's type or object is unknown.

@@ -10,7 +10,7 @@ import numpy as np
 from estbench import experiment, setup
 from estbench.errors import EstbenchError
 from estbench.report.replay import Replay, simulated
-from estbench.scenario import ChannelSection, Scenario
+from estbench.sections import ChannelSection, Scenario
 
 KEYS = {
     "space": "pause or go on",

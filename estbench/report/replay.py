@@ -13,7 +13,7 @@ from estbench.consistency import chi_square_band
 from estbench.errors import EstbenchError, EstimatorError, StoreError
 from estbench.models.rows import engine
 from estbench.report.sources import Entry, array, load
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 from estbench.store import STORE
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estbench import scenario as scenarios
 from estbench.errors import StoreError, did_you_mean
 from estbench.records import SUMMARY, Record
-from estbench.scenario import Scenario
+from estbench.sections import Scenario
 from estbench.statistics import Summary, summarize
 from estbench.store import COSTS, SCENARIO, STORE, open_results
 

@@ -6,7 +6,8 @@ import pytest
 
 from estbench.errors import ScenarioError
 from estbench.models import mjcf
-from estbench.scenario import AddSensor, bundled
+from estbench.scenario import bundled
+from estbench.sections import AddSensor
 from tests.helpers import ZOO, zoo_model
 
 CARTPOLE = "estbench:assets/cartpole/cartpole.xml"

@@ -6,15 +6,10 @@ from pathlib import Path
 import pytest
 
 import estbench
-from estbench.records import FULL, SUMMARY
 from estbench.report import render, sources
 
 needs_gl = pytest.mark.skipif(
     not render.available(), reason="neither OSMesa nor EGL: apt-get install libosmesa6"
-)
-needs_lags = pytest.mark.skipif("lags" not in SUMMARY, reason="stores keep no lag products")
-needs_innovations = pytest.mark.skipif(
-    "innovation" not in FULL, reason="stores keep no innovations"
 )
 
 

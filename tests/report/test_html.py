@@ -17,7 +17,6 @@ from estbench.records import SUMMARY
 from estbench.report import data, innovations, pairs, sources, traces
 from estbench.report.html import render, write_report
 from estbench.statistics import summarize
-from tests.report.conftest import needs_lags
 
 
 class Tables(HTMLParser):
@@ -211,7 +210,6 @@ def test_shares_outside_the_band_of_one_run(two):
         assert [float(value) for _, value in row[1:]] == list(found.outside)
 
 
-@needs_lags
 def test_whiteness(two):
     entries, tables, page, _ = two
     for entry, row in zip(entries, tables.cells["table-white"][1:], strict=True):

@@ -8,7 +8,6 @@ import pytest
 from estbench.analysis.whiteness import whiteness
 from estbench.lags import Lags
 from estbench.report import innovations, sources
-from tests.report.conftest import needs_innovations, needs_lags
 
 
 @pytest.fixture
@@ -45,7 +44,6 @@ def test_correlated_innovations_are_not(entry):
     assert found.found.rejected.value > 0.9
 
 
-@needs_lags
 def test_a_store_keeps_them(entries):
     for entry in entries("two"):
         found = innovations.whole(entry)
@@ -58,7 +56,6 @@ def test_a_store_keeps_them(entries):
         )
 
 
-@needs_innovations
 def test_each_channel_of_a_full_store(entries, store):
     (entry,) = entries("full")
     found = innovations.by_channel(entry)

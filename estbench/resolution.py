@@ -1,0 +1,170 @@
+"""What the sections of a scenario stand for on its robot: noise, start, channels, defaults."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench import schedules, sensors
+from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
+from estbench.linalg import is_positive_definite
+from estbench.manifold import Manifold
+from estbench.models import layout
+from estbench.models.disturbance import Disturbance
+from estbench.models.mujoco import SensorChannel
+from estbench.models.reading import Source
+from estbench.naming import expand
+from estbench.sections import (
+    BelievedChannelSection,
+    FilterSection,
+    InitialSection,
+    ProcessNoiseSection,
+    Scenario,
+)
+from estbench.sensors import Channel
+from estbench.timing import Instant, Native
+
+Array = NDArray[np.float64]
+
+DEFAULT_DENSITY = 0.01
+
+
+def disturbance(
+    section: ProcessNoiseSection,
+    model: mujoco.MjModel,
+    space: Manifold,
+    duration: float,
+    notices: list[str],
+) -> Disturbance:
+    """The true process noise."""
+    density = section.density
+    if density is None:
+        density = DEFAULT_DENSITY
+        if section.kind == "additive":
+            # Noise on the velocities alone: positions then move as their derivatives say.
+            values = np.zeros(space.n)
+            values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
+            density = values.tolist()
+        if section.matrix is None:
+            what = {"additive": "every velocity, (unit)²/s", "force": "every force, (N or N m)² s"}
+            where = what.get(section.kind, "every control, (unit)² s")
+            notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {where}")
+    disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
+    axes, where = len(disturbance.density), "process_noise.schedule"
+    schedule = schedules.build(section.schedule, axes, duration, where)
+    if schedule is not None:
+        disturbance = replace(disturbance, schedule=schedule.at)
+    if not disturbance.rank:
+        notices.append("process noise is zero: an estimator's gain will vanish with time")
+    return disturbance
+
+
+def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:
+    """Say which defaults stand in for sections that the scenario leaves out."""
+    given = scenario.model_fields_set
+    if scenario.model.keyframe is None:
+        first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
+        notices.append(f"no model.keyframe given; starting about {first}")
+    if "initial" not in given:
+        notices.append(f"no [initial] given; assuming a std of {scenario.initial.std} everywhere")
+    if "control" not in given:
+        notices.append("no [control] given; holding the nominal control")
+    if "simulation" not in given:
+        simulation = scenario.simulation
+        notices.append(
+            f"no [simulation] given; {simulation.runs} runs of {simulation.duration:g} s, "
+            f"seed {simulation.seed}"
+        )
+
+
+def initial(
+    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Array
+) -> tuple[Array, Array]:
+    """x̂₀ and P₀."""
+    mean = x0.copy()
+    parts = {
+        "qpos": slice(0, model.nq),
+        "qvel": slice(model.nq, model.nq + model.nv),
+        "act": slice(model.nq + model.nv, None),
+    }
+    for name, part in parts.items():
+        given = getattr(section, name)
+        if given is not None:
+            if len(given) != len(mean[part]):
+                raise DimensionError(
+                    f"initial.{name} has {len(given)} values; expected {len(mean[part])}"
+                )
+            mean[part] = given
+    mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
+    if section.cov is None:
+        std = expand(section.std, space.names, "initial.std")
+        if not (std > 0).all():
+            worst = int(std.argmin())
+            raise CovarianceError(
+                f"initial.std is {std[worst]:g} for {space.names[worst]}; P₀ must be positive "
+                "definite, so give every coordinate a std above 0 (later patterns win)"
+            )
+        return mean, np.diag(std**2)
+    cov = np.asarray(section.cov, dtype=np.float64)
+    if cov.shape != (space.n, space.n):
+        raise DimensionError(
+            f"initial.cov has shape {cov.shape}; expected {(space.n, space.n)} "
+            f"({', '.join(space.names)})"
+        )
+    if not is_positive_definite(cov):
+        raise CovarianceError("initial.cov (P₀) is not symmetric positive definite")
+    return mean, cov
+
+
+def believed_channels(
+    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection
+) -> tuple[SensorChannel, ...]:
+    """The channels as the filter believes them, their sensors found by name in its model."""
+    names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
+    known = [c.name for c in channels]
+    for name in section.channels:
+        if name not in known:
+            raise ScenarioError(f"filter.channels: no channel '{name}'{did_you_mean(name, known)}")
+    out = []
+    for channel in channels:
+        belief = section.channels.get(channel.name, BelievedChannelSection())
+        R = section.measurement_noise_scale * sensors.believed_covariance(channel, belief)
+        follow = channel.schedule is not None and belief.follow_schedule
+        scale = channel.schedule.at if channel.schedule is not None and follow else None
+        source = channel.source
+        if not source.function:
+            missing = [name for name in channel.sensors if name not in names]
+            if missing:
+                raise ScenarioError(
+                    f"filter.path: the filter's model has no sensor {', '.join(missing)}"
+                )
+            indices = [names.index(name) for name in channel.sensors]
+            source = Source.of_sensors(model, *indices, axes=source.axes)
+        out.append(SensorChannel(channel.name, -1, R, scale, source))
+    return tuple(out)
+
+
+def native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Native]:
+    """Sensor -> its rhythm by the MJCF, for the sensors that have a history."""
+    return {
+        layout.sensor_name(model, i): Native(
+            float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
+            int(sensor.nsample),
+        )
+        for i, sensor in enumerate(spec.sensors)
+        if sensor.nsample > 0
+    }  # fmt: skip
+
+
+def silent(channels: Sequence[Channel], last: Instant) -> list[str]:
+    """A notice of each channel of which nothing can arrive before the run ends."""
+    notices = []
+    for channel in channels:
+        due = channel.timing.due(last.tick)
+        if not len(due) or due[0] + channel.timing.latency > last.tick:
+            notices.append(
+                f"{channel.name}: its first reading would arrive after the run of {last.end:g} s"
+            )
+    return notices
