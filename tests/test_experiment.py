@@ -204,7 +204,7 @@ class Frozen(EKF):
 
 
 def test_ctrl_c_keeps_the_finished_runs(tmp_path):
-    calls, threads = [], threading.active_count()  # other tests' libraries leave some
+    calls = []
 
     def progress(done, total):
         calls.append((done, total))
@@ -233,7 +233,6 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path):
             np.testing.assert_array_equal(a[group][name][stored], b[group][name][stored])
     assert f"interrupted: {len(cut.runs)} of 24 runs" in str(cut)
     assert cut.to_dict()["interrupted"] is True
-    assert threading.active_count() < threads + 6  # zarr's own
     assert not [t for t in threading.enumerate() if t.name.startswith("estbench")]
 
 
