@@ -1,5 +1,7 @@
 """From a channel's section to its R and its imperfections, in the figures that datasheets use."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,24 @@ ALLAN_PEAK = 0.6173
 """Peak of the Allan deviation of a Gauss-Markov drift over its std, at 1.89 correlation times."""
 ALLAN_FLOOR = 0.6643
 """Floor of the Allan deviation over the bias instability, sqrt(2 ln 2/π) (IEEE Std 952)."""
+
+
+def matrix(given: Sequence[Sequence[float]], space: Manifold, where: str, symbol: str) -> Array:
+    """A full covariance `(n, n)` that a scenario gives, in the tangent of a space.
+
+    Raises:
+        DimensionError: another shape.
+        CovarianceError: not symmetric positive definite.
+    """
+    cov = np.asarray(given, dtype=np.float64)
+    if cov.shape != (space.n, space.n):
+        raise DimensionError(
+            f"{where} has shape {cov.shape}; expected {(space.n, space.n)} "
+            f"({', '.join(space.names)})"
+        )
+    if not is_positive_definite(cov):
+        raise CovarianceError(f"{where} ({symbol}) is not symmetric positive definite")
+    return cov
 
 
 def covariance(
@@ -50,15 +70,7 @@ def covariance(
         raise ScenarioError(f"{where} has {' and '.join(given)}; give one of them")
     none = np.zeros(space.n)
     if section.cov is not None:
-        cov = np.asarray(section.cov, dtype=np.float64)
-        if cov.shape != (space.n, space.n):
-            raise DimensionError(
-                f"{where}.cov has shape {cov.shape}; expected {(space.n, space.n)} "
-                f"({', '.join(space.names)})"
-            )
-        if not is_positive_definite(cov):
-            raise CovarianceError(f"{where}.cov (R) is not symmetric positive definite")
-        return cov, none
+        return matrix(section.cov, space, f"{where}.cov", "R"), none
     assumed = none
     if section.noise_density is not None:
         std = np.array([section.noise_density * np.sqrt(rate)])

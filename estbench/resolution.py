@@ -7,9 +7,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import schedules, sensors
+from estbench import datasheet, schedules, sensors
 from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
-from estbench.linalg import is_positive_definite
 from estbench.manifold import Manifold
 from estbench.models import layout
 from estbench.models.disturbance import Disturbance
@@ -107,15 +106,7 @@ def initial(
                 "definite, so give every coordinate a std above 0 (later patterns win)"
             )
         return mean, np.diag(std**2)
-    cov = np.asarray(section.cov, dtype=np.float64)
-    if cov.shape != (space.n, space.n):
-        raise DimensionError(
-            f"initial.cov has shape {cov.shape}; expected {(space.n, space.n)} "
-            f"({', '.join(space.names)})"
-        )
-    if not is_positive_definite(cov):
-        raise CovarianceError("initial.cov (P₀) is not symmetric positive definite")
-    return mean, cov
+    return mean, datasheet.matrix(section.cov, space, "initial.cov", "P₀")
 
 
 def believed_channels(

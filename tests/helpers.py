@@ -14,6 +14,9 @@ from estbench.models.function import FunctionModel
 from estbench.models.layout import sensor_name, sensor_space, state_space
 from estbench.models.linear import LinearModel
 from estbench.models.mujoco import MujocoModel, SensorChannel
+from estbench.models.rows import engine
+from estbench.setup import Setup
+from estbench.truth import Trajectory, simulate
 
 SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
 CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
@@ -268,3 +271,11 @@ def nonlinear_model(n: int = 2, jacobians: bool = True, batched: bool = True) ->
         0.05 * random_cov(np.random.default_rng(n + 1), k + 1), n_controls=1, batched=batched,
         f_jacobian=f_jacobian if jacobians else None, h_jacobian=h_jacobian if jacobians else None,
     )  # fmt: skip
+
+
+def simulated(prepared: Setup, runs: int) -> Trajectory:
+    """The truth of the first runs of a scenario."""
+    with engine():
+        return simulate(
+            prepared.simulator(range(runs)), prepared.controller(range(runs)), prepared.plant.period
+        )

@@ -12,7 +12,8 @@ from estbench.estimators import registry
 from estbench.estimators.ekf import EKF
 from estbench.filtering import Delays, Recorded, run_filter
 from estbench.models.rows import engine
-from estbench.truth import Trajectory, simulate
+from estbench.truth import Trajectory
+from tests.helpers import simulated
 
 RUNS = 6
 # Two rates that split the filter's steps, one channel with gaps, one with jitter.
@@ -30,12 +31,7 @@ SCENARIOS = {"quadrotor": QUADROTOR, "cartpole": CARTPOLE, "cartpole_imu": ()}
 def recorded(name="quadrotor", *overrides):
     overrides = (*SCENARIOS[name], *overrides)
     prepared = setup.build(experiment.resolve(name, duration=0.4, overrides=overrides))
-    runs = range(RUNS)
-    with engine():
-        trajectory = simulate(
-            prepared.simulator(runs), prepared.controller(runs), prepared.plant.period
-        )
-    return prepared, trajectory
+    return prepared, simulated(prepared, RUNS)
 
 
 def run(prepared, trajectory, kind="ekf", rows=slice(None), **delays) -> Any:

@@ -13,24 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 import zarr
 
 import estbench
 from estbench import cluster, executors, experiment, store
 from estbench.errors import ExecutorError, StoreError
 from estbench.estimators.ekf import EKF
-
-ARGUMENTS = {"estimators": ["ekf"], "runs": 40, "duration": 0.3, "batch_size": 5}
-
-
-def run(out, **options):
-    return experiment.run("pendulum", **{**ARGUMENTS, **options}, out=out)
-
-
-def same(a, b):
-    with estbench.open_results(a) as x, estbench.open_results(b) as y:
-        xr.testing.assert_identical(x.load(), y.load())
+from tests.stores import run, same
 
 
 def done(folder) -> int:

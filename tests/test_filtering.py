@@ -12,7 +12,8 @@ from estbench.estimators.base import Fault, GaussianEstimator
 from estbench.estimators.ekf import EKF
 from estbench.filtering import Live, Recorded, run_filter
 from estbench.models.rows import engine
-from estbench.truth import Trajectory, simulate
+from estbench.truth import Trajectory
+from tests.helpers import simulated
 
 RUNS = 6
 
@@ -21,12 +22,7 @@ RUNS = 6
 def recorded(name="cartpole", *overrides):
     """A setup, its source of recorded truth, and the prior of `RUNS` runs."""
     prepared = setup.build(experiment.resolve(name, duration=0.3, overrides=overrides))
-    runs = range(RUNS)
-    with engine():
-        trajectory = simulate(
-            prepared.simulator(runs), prepared.controller(runs), prepared.plant.period
-        )
-    return prepared, trajectory
+    return prepared, simulated(prepared, RUNS)
 
 
 def prior(prepared, runs=RUNS):

@@ -9,22 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-import xarray as xr
 
 import estbench
 from estbench import cluster, executors, experiment, setup, store
 from estbench.errors import ExecutorError, StoreError
-
-ARGUMENTS = {"estimators": ["ekf"], "runs": 40, "duration": 0.3, "batch_size": 5}
-
-
-def run(out, **options):
-    return experiment.run("pendulum", **{**ARGUMENTS, **options}, out=out)
-
-
-def same(a, b):
-    with estbench.open_results(a) as x, estbench.open_results(b) as y:
-        xr.testing.assert_identical(x.load(), y.load())
+from tests.stores import run, same
 
 
 @pytest.fixture(scope="module")
