@@ -5,18 +5,25 @@ worker changes no other stream: comparisons use common random numbers.
 """
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench import seeding
+
 Array = NDArray[np.float64]
 
 
-def stream(seed: int, run: int, purpose: str) -> np.random.Generator:
-    """The generator of one run and purpose, from a child of `SeedSequence(seed)`."""
-    child = np.random.SeedSequence(seed, spawn_key=(run, zlib.crc32(purpose.encode())))
-    return np.random.Generator(np.random.SFC64(child))
+def streams(seed: int, runs: Sequence[int], purpose: str) -> Iterator[np.random.Generator]:
+    """Each run's generator for a purpose: `SFC64(SeedSequence(seed, spawn_key=(run, word)))`.
+
+    The word is the purpose's CRC-32.
+    """
+    for words in seeding.words(seed, runs, zlib.crc32(purpose.encode()), 3):
+        # numpy's stubs leave ISeedSequence out.
+        bits = np.random.SFC64(seeding.Seed(words))  # pyright: ignore[reportArgumentType]
+        yield np.random.Generator(bits)
 
 
 def normals(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
@@ -26,28 +33,19 @@ def normals(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int
     """
     out = np.empty((steps, len(runs), width))
     if out.size:
-        for row, run in enumerate(
-            runs
-        ):  # a stream a run is what makes runs independent of batching
-            out[:, row] = stream(seed, run, purpose).standard_normal((steps, width))
+        for row, own in enumerate(streams(seed, runs, purpose)):
+            out[:, row] = own.standard_normal((steps, width))
     return out
 
 
 def uniforms(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
     """As `normals`, uniform on [0, 1)."""
     out = np.empty((steps, len(runs), width))
-    for row, run in enumerate(runs):
-        out[:, row] = stream(seed, run, purpose).random((steps, width))
+    for row, own in enumerate(streams(seed, runs, purpose)):
+        out[:, row] = own.random((steps, width))
     return out
 
 
 def run_keys(seed: int, runs: Sequence[int], purpose: str) -> NDArray[np.uint64]:
     """A 64-bit key a run `(run,)`, for estimators that draw random numbers of their own."""
-    word = zlib.crc32(purpose.encode())
-    return np.array(
-        [
-            np.random.SeedSequence(seed, spawn_key=(run, word)).generate_state(1, np.uint64)[0]
-            for run in runs
-        ],
-        dtype=np.uint64,
-    )
+    return seeding.words(seed, runs, zlib.crc32(purpose.encode()), 1)[:, 0]

@@ -1,8 +1,10 @@
+import zlib
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from estbench import experiment, setup, streams
+from estbench import experiment, seeding, setup, streams
 
 PURPOSES = ("initial", "process", "control", "sensor:gyro", "sensor:gyr0")
 
@@ -56,6 +58,19 @@ def test_keys_depend_on_seed_run_and_purpose_only():
     np.testing.assert_array_equal(streams.run_keys(3, [4, 1], "estimator:enkf"), keys[[4, 1]])
     others = [streams.run_keys(3, range(6), "estimator:pf"), streams.run_keys(4, range(6), "x")]
     assert len(set(np.concatenate([keys, *others]).tolist())) == 18
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1, 2**32, 2**128 - 1, 2**128, 2**300 + 5])
+def test_streams_are_those_of_numpys_seed_sequence(seed):
+    runs, word = [0, 1, 7, 2**32 - 1], zlib.crc32(b"process")
+    theirs = [np.random.SeedSequence(seed, spawn_key=(run, word)) for run in runs]
+    np.testing.assert_array_equal(
+        seeding.words(seed, runs, word, 5), [s.generate_state(5, np.uint64) for s in theirs]
+    )
+    drawn = [np.random.Generator(np.random.SFC64(s)).standard_normal((3, 2)) for s in theirs]
+    np.testing.assert_array_equal(
+        streams.normals(seed, runs, "process", 3, 2), np.swapaxes(drawn, 0, 1)
+    )
 
 
 def readings(overrides, runs=range(3)):
