@@ -5,11 +5,32 @@ substitutions below are vectorized over the stack and loop over the (small) matr
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+@lru_cache(maxsize=64)
+def identity(n: int) -> Array:
+    """I `(n, n)`, made once and read-only: `np.eye` costs a microsecond."""
+    eye = np.eye(n)
+    eye.flags.writeable = False
+    return eye
+
+
+def pad_absent(cov: Array, mask: NDArray[np.bool_]) -> Array:
+    """A covariance with the rows and columns of the identity where nothing arrived `(run, m, m)`.
+
+    So what did not arrive is a reading of its own, uncorrelated with the rest.
+
+    Args:
+        cov: `(run, m, m)` or `(m, m)`.
+        mask: `(run, m)`, True where a component arrived.
+    """
+    return np.where(mask[:, :, None] & mask[:, None, :], cov, identity(mask.shape[-1]))
 
 
 def symmetrize(a: Array) -> Array:
@@ -23,7 +44,10 @@ def surely_finite(*arrays: Array) -> bool:
     False may also mean that squares or the sum overflow (above 1e150): ask numpy then.
     """
     # A long dot product would start BLAS threads, which fight with the batches' own.
-    return all(math.isfinite(np.vdot(a, a) if a.size < 4096 else a.sum()) for a in arrays)
+    for a in arrays:  # noqa: SIM110  (a generator costs as much as the sum)
+        if not math.isfinite(np.vdot(a, a) if a.size < 4096 else a.sum()):
+            return False
+    return True
 
 
 def cholesky(a: Array) -> Array:
@@ -57,8 +81,8 @@ def solve_lower(lower: Array, b: Array) -> Array:
     for i in range(lower.shape[-1]):
         row = b[..., i, :]
         if i:
-            row = row - (lower[..., i, None, :i] @ x[..., :i, :])[..., 0, :]
-        x[..., i, :] = row / lower[..., i, i, None]
+            row = row - (lower[..., i : i + 1, :i] @ x[..., :i, :])[..., 0, :]
+        np.divide(row, lower[..., i, i, None], out=x[..., i, :])
     return x
 
 
@@ -70,7 +94,7 @@ def solve_lower_transposed(lower: Array, b: Array) -> Array:
         row = b[..., i, :]
         if i + 1 < m:
             row = row - (lower[..., None, i + 1 :, i] @ x[..., i + 1 :, :])[..., 0, :]
-        x[..., i, :] = row / lower[..., i, i, None]
+        np.divide(row, lower[..., i, i, None], out=x[..., i, :])
     return x
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError
 from estbench.estimators.base import Gaussian, Innovation, correct, marked
 from estbench.estimators.ekf import EKF
-from estbench.estimators.kf import linear_update
+from estbench.estimators.linear import linear_update
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, solve_lower, symmetrize
+from estbench.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.models.base import Channels
 from estbench.naming import expand
 
@@ -163,7 +163,7 @@ class AdaptiveEKF(EKF):
 
         With the R and S of the update, η = R S⁻¹ ν and H P⁺ Hᵀ = R - R S⁻¹ R.
         """
-        R = np.where(present[:, :, None] & present[:, None, :], R, np.eye(R.shape[-1]))
+        R = pad_absent(R, present)
         half = solve_lower(cholesky(innovation.cov), R)  # L⁻¹ R
         eta = np.einsum("rij,ri->rj", half, innovation.white)
         old = np.diagonal(R, axis1=-2, axis2=-1)

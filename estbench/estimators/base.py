@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
-from estbench.linalg import cholesky, solve_lower, surely_finite
+from estbench.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
 from estbench.manifold import Manifold
 from estbench.models.base import Channels
 
@@ -165,21 +166,33 @@ class GaussianEstimator:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """The linear estimate of the error from an innovation: δ = K ν, its gain and its reduction.
+    """The linear estimate of the error from an innovation: δ = K ν.
+
+    Its gain K and its reduction K S Kᵀ are products that few filters need both of.
 
     Attributes:
         delta: K ν `(run, n)`.
-        reduction: K S Kᵀ `(run, n, n)`, what the update takes from P.
         innovation: ν, S and NIS.
         fault: `Fault.INNOVATION` where S has no Cholesky factor.
-        gain: K `(run, n, m)`.
+        white: W = L⁻¹ Pxyᵀ `(run, m, n)`, with S = L Lᵀ.
+        whitening: L⁻¹ `(run, m, m)`.
     """
 
     delta: Array
-    reduction: Array
     innovation: Innovation
     fault: NDArray[np.uint8]
-    gain: Array
+    white: Array
+    whitening: Array
+
+    @cached_property
+    def gain(self) -> Array:
+        """K = Wᵀ L⁻¹ `(run, n, m)`."""
+        return self.white.mT @ self.whitening
+
+    @cached_property
+    def reduction(self) -> Array:
+        """K S Kᵀ = Wᵀ W `(run, n, n)`, what the update takes from P."""
+        return self.white.mT @ self.white
 
 
 def correct(
@@ -187,7 +200,7 @@ def correct(
 ) -> Correction:
     """Condition on an innovation: K = Pxy S⁻¹ by Cholesky (source 003, eq. 3-4; Bishop, eq. 20).
 
-    With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K = Wᵀ L⁻¹, K ν = Wᵀ (L⁻¹ ν), K S Kᵀ = Wᵀ W, NIS = |L⁻¹ ν|².
+    With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K ν = Wᵀ (L⁻¹ ν), NIS = |L⁻¹ ν|².
     A component that did not arrive is taken out exactly: its cross-covariance and residual are
     zero and its row and column of S are those of the identity.
 
@@ -199,8 +212,7 @@ def correct(
     """
     m, n = S.shape[-1], cross.shape[-2]
     if mask is not None and not mask.all():
-        both = mask[:, :, None] & mask[:, None, :]
-        S = np.where(both, S, np.eye(m))
+        S = pad_absent(S, mask)
         cross = np.where(mask[:, None, :], cross, 0.0)
         residual = np.where(mask, residual, 0.0)
         dof = mask.sum(axis=-1)
@@ -208,18 +220,17 @@ def correct(
         dof = np.full(len(S), m)
     lower = cholesky(S)
     joint = np.zeros((len(S), m, n + 1 + m))
-    joint[..., :n], joint[..., n], joint[..., n + 1 :] = cross.mT, residual, np.eye(m)
+    joint[..., :n], joint[..., n], joint[..., n + 1 :] = cross.mT, residual, identity(m)
     joint = solve_lower(lower, joint)
     W, white = joint[..., :n], joint[..., n]
-    Wt = W.mT
-    delta = (Wt @ white[..., None])[..., 0]
+    delta = (W.mT @ white[..., None])[..., 0]
     nis = np.vecdot(white, white)
     fault = np.zeros(len(S), np.uint8)
     if not surely_finite(nis):
         factored = np.isfinite(lower[:, 0, 0])
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
     innovation = Innovation(residual, S, white, nis, dof)
-    return Correction(delta, Wt @ W, innovation, fault, Wt @ joint[..., n + 1 :])
+    return Correction(delta, innovation, fault, W, joint[..., n + 1 :])
 
 
 def settle(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError, did_you_mean
 from estbench.estimators.base import Gaussian, Innovation
 from estbench.estimators.ekf import EKF
-from estbench.estimators.kf import linear_update
+from estbench.estimators.linear import linear_update
 from estbench.estimators.settings import names, one_of
 from estbench.models.base import Channels
 

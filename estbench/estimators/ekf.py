@@ -1,7 +1,6 @@
 """Extended Kalman filter, discrete (Bishop, eq. 11, 17, 19-21; source 001; source 003, eq. 6-8)."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +9,9 @@ from estbench.estimators.base import (
     Gaussian,
     GaussianEstimator,
     Innovation,
-    correct,
     marked,
-    settle,
 )
+from estbench.estimators.linear import FORMS, Form, linear_update
 from estbench.estimators.settings import one_of
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels, Model
@@ -30,15 +28,15 @@ class EKF(GaussianEstimator):
 
     Attributes:
         model: the filter's model.
-        covariance_update: `joseph` (Bishop eq. 19, keeps P positive definite under rounding),
-            `simplified` (I - K H) P (eq. 21), or `symmetric` P - K S Kᵀ (source 003, eq. 8).
+        covariance_update: `joseph` (keeps P positive definite under rounding), `simplified` or
+            `symmetric`; see `estbench.estimators.linear.posterior_cov`.
     """
 
     model: Model
-    covariance_update: Literal["joseph", "simplified", "symmetric"] = "joseph"
+    covariance_update: Form = "joseph"
 
     def __post_init__(self) -> None:
-        one_of(self, "covariance_update", ("joseph", "simplified", "symmetric"))
+        one_of(self, "covariance_update", FORMS)
 
     def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
         """x̂⁻ = f(x̂⁺, u), P⁻ = Φ P⁺ Φᵀ + Q (Bishop, eq. 11)."""
@@ -60,15 +58,4 @@ class EKF(GaussianEstimator):
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
         R = self.model.measurement_noise(t, channels)
         residual = self.model.output(channels).minus(y, predicted)
-        P = belief.cov
-        PHt = P @ H.mT
-        c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
-        if self.covariance_update == "symmetric":
-            cov = P - c.reduction
-        else:
-            # A component that did not arrive has a zero column in K, so H and R need no mask.
-            A = np.eye(P.shape[-1]) - c.gain @ H
-            cov = A @ P
-            if self.covariance_update == "joseph":
-                cov = cov @ A.mT + c.gain @ R @ c.gain.mT
-        return settle(self.model.space, belief, c.delta, symmetrize(cov), c.fault), c.innovation
+        return linear_update(self.model.space, belief, residual, H, R, mask, self.covariance_update)

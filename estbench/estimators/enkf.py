@@ -10,7 +10,7 @@ from estbench import random
 from estbench.errors import DimensionError
 from estbench.estimators.base import Correction, Fault, Innovation, correct
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, solve_lower_transposed, symmetrize
+from estbench.linalg import cholesky, pad_absent, solve_lower_transposed, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
 
@@ -162,9 +162,8 @@ def _reduced_gain(c: Correction, R: Array, present: NDArray[np.bool_]) -> Array:
     Whitaker & Hamill 2002, eq. 10, after Andrews 1968: it holds for any square roots, so Cholesky
     factors do. c.gain is Pxy S⁻¹, hence Pxy A⁻ᵀ = K A.
     """
-    both = present[:, :, None] & present[:, None, :]
     A = cholesky(c.innovation.cov)
-    B = cholesky(np.where(both, R, np.eye(R.shape[-1])))
+    B = cholesky(pad_absent(R, present))
     return solve_lower_transposed(A + B, np.swapaxes(c.gain @ A, -1, -2))
 
 

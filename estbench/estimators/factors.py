@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.base import Fault, Gaussian, Innovation, marked
-from estbench.linalg import cholesky, solve_lower
+from estbench.linalg import cholesky, pad_absent, solve_lower
 from estbench.manifold import Manifold
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ def psd_root(a: Array) -> Array:
 def noise_root(R: Array, mask: NDArray[np.bool_] | None, runs: int) -> Array:
     """The Cholesky factor of R `(run, m, m)`, that of the identity where nothing arrived."""
     if mask is not None:
-        R = np.where(mask[:, :, None] & mask[:, None, :], R, np.eye(R.shape[-1]))
+        R = pad_absent(R, mask)
     lower = cholesky(R if R.ndim == 3 else R[None])
     return np.broadcast_to(lower, (runs, *lower.shape[-2:]))
 
@@ -124,7 +124,7 @@ def factor_innovation(
     if mask is not None:
         # QR leaves rounding where the factor of the identity belongs.
         white = np.where(mask, white, 0.0)
-        S = np.where(mask[:, :, None] & mask[:, None, :], S, np.eye(S.shape[-1]))
+        S = pad_absent(S, mask)
         dof = mask.sum(axis=-1)
     return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof)
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from estbench.estimators.base import Gaussian, Innovation, correct, settle
 from estbench.estimators.ekf import EKF
+from estbench.estimators.linear import posterior_cov
 from estbench.estimators.settings import in_range, whole
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels
@@ -71,20 +72,10 @@ class IEKF(EKF):
             moved = np.abs(c.delta - delta)
             rows = active[:, None]
             delta = np.where(rows, c.delta, delta)
-            cov = np.where(rows[..., None], self._posterior(P, c.gain, H, R, c.reduction), cov)
+            cov = np.where(rows[..., None], posterior_cov(self.covariance_update, P, c, H, R), cov)
             fault = np.where(active, c.fault, fault)
             active = active & (moved > scale).any(axis=-1)
             if not active.any():
                 break
         assert innovation is not None
         return settle(space, belief, delta, symmetrize(cov), fault), innovation
-
-    def _posterior(self, P: Array, K: Array, H: Array, R: Array, reduction: Array) -> Array:
-        """P⁺ in the chart at x̂⁻ by the chosen form."""
-        if self.covariance_update == "symmetric":
-            return P - reduction
-        A = np.eye(P.shape[-1]) - K @ H
-        cov = A @ P
-        if self.covariance_update == "joseph":
-            cov = cov @ A.mT + K @ R @ K.mT
-        return cov

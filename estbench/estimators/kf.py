@@ -12,10 +12,9 @@ from estbench.estimators.base import (
     Gaussian,
     GaussianEstimator,
     Innovation,
-    correct,
     marked,
-    settle,
 )
+from estbench.estimators.linear import linear_update
 from estbench.linalg import symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
@@ -138,22 +137,3 @@ def tangent_map(
     if not target.flat:
         slope = target.reset_jacobian(outward) @ slope
     return target.plus(image, outward), slope
-
-
-def linear_update(
-    space: Manifold,
-    belief: Belief,
-    residual: Array,
-    H: Array,
-    R: Array,
-    mask: NDArray[np.bool_] | None = None,
-) -> tuple[Belief, Innovation]:
-    """Condition on ν = H e + v: K = P Hᵀ S⁻¹ (Bishop, eq. 20), P⁺ in Joseph's form (eq. 19)."""
-    P = belief.cov
-    PHt = P @ H.mT
-    c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
-    # A component that did not arrive has a zero column in K, so H and R need no mask.
-    A = np.eye(P.shape[-1]) - c.gain @ H
-    cov = A @ P @ A.mT + c.gain @ R @ c.gain.mT
-    posterior = settle(space, belief, c.delta, symmetrize(cov), c.fault)
-    return cast(Belief, posterior), c.innovation

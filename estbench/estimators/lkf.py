@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.estimators.base import Gaussian, GaussianEstimator, Innovation, marked
-from estbench.estimators.kf import linear_update, tangent_map
+from estbench.estimators.kf import tangent_map
+from estbench.estimators.linear import linear_update
 from estbench.estimators.settings import in_range
 from estbench.linalg import quadratic_form, symmetrize
 from estbench.models.base import Channels, Model

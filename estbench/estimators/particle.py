@@ -9,7 +9,7 @@ from estbench import random
 from estbench.estimators.base import Fault, Innovation, correct
 from estbench.estimators.enkf import Ensemble, diffuse, draw
 from estbench.estimators.settings import in_range, whole
-from estbench.linalg import cholesky, solve_lower, symmetrize
+from estbench.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
 
@@ -91,8 +91,7 @@ class ParticleFilter:
         spread = output.minus(images, predicted[:, None])
         S = symmetrize((spread * weights[..., None]).mT @ spread + R)
         c = correct(output.minus(y, predicted), S, np.zeros((len(y), 0, m)), mask)
-        both = present[:, :, None] & present[:, None, :]
-        lower = cholesky(np.where(both, R, np.eye(m)))
+        lower = cholesky(pad_absent(R, present))
         residual = np.where(present[:, None], output.minus(y[:, None], images), 0.0)
         white = solve_lower(lower, residual.mT)
         gained = np.where(blind, -np.inf, -0.5 * (white**2).sum(axis=-2))

@@ -9,9 +9,9 @@ from scipy.special import chdtri
 
 from estbench.estimators.base import Gaussian, Innovation, correct, marked
 from estbench.estimators.ekf import EKF
-from estbench.estimators.kf import linear_update
+from estbench.estimators.linear import linear_update
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, solve_lower, symmetrize
+from estbench.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.models.base import Channels
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class RobustEKF(EKF):
         R = np.broadcast_to(self.model.measurement_noise(t, channels), (len(y), m, m))
         if mask is not None and not mask.all():
             # What did not arrive predicts zero, reads zero, and has noise of its own.
-            R = np.where(mask[:, :, None] & mask[:, None, :], R, np.eye(m))
+            R = pad_absent(R, mask)
             H = np.where(mask[..., None], H, 0.0)
             residual = np.where(mask, residual, 0.0)
         PHt = belief.cov @ H.mT

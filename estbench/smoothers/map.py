@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from estbench.estimators.base import Fault, Gaussian, Measurement, marked
-from estbench.linalg import quadratic_form, symmetrize
+from estbench.linalg import pad_absent, quadratic_form, symmetrize
 from estbench.models.base import Model
 from estbench.models.wrappers import carry
 from estbench.smoothers.rts import check_lengths
@@ -172,7 +172,7 @@ def _linearize(
         v = output.minus(y, predicted)
         if mask is not None and not mask.all():
             # What did not arrive predicts zero, reads zero, and has noise of its own.
-            R = np.where(mask[:, :, None] & mask[:, None, :], R, np.eye(m))
+            R = pad_absent(R, mask)
             H, v = np.where(mask[..., None], H, 0.0), np.where(mask, v, 0.0)
         H, _ = carry(output, v, H, H)
         residuals.append(v)

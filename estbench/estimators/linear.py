@@ -1,0 +1,55 @@
+"""The update of the linear family: gain by Cholesky, the covariance in one of three forms."""
+
+from typing import Literal, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.base import Correction, Gaussian, Innovation, correct, settle
+from estbench.linalg import identity, symmetrize
+from estbench.manifold import Manifold
+
+Array = NDArray[np.float64]
+Belief = TypeVar("Belief", bound=Gaussian)
+Form = Literal["joseph", "simplified", "symmetric"]
+FORMS = ("joseph", "simplified", "symmetric")
+
+
+def linear_update(
+    space: Manifold,
+    belief: Belief,
+    residual: Array,
+    H: Array,
+    R: Array,
+    mask: NDArray[np.bool_] | None = None,
+    form: Form = "joseph",
+) -> tuple[Belief, Innovation]:
+    """Condition on ν = H e + v: K = P Hᵀ S⁻¹ (Bishop, eq. 20), x̂⁺ = x̂⁻ ⊞ K ν (eq. 17).
+
+    Args:
+        space: the state space.
+        belief: the prior.
+        residual: ν `(run, m)`.
+        H: `(run, m, n)`.
+        R: `(run, m, m)` or `(m, m)`.
+        mask: `(run, m)`, True where a component arrived.
+        form: of the covariance, see `posterior_cov`.
+    """
+    PHt = belief.cov @ H.mT
+    c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
+    cov = symmetrize(posterior_cov(form, belief.cov, c, H, R))
+    return cast(Belief, settle(space, belief, c.delta, cov, c.fault)), c.innovation
+
+
+def posterior_cov(form: Form, P: Array, c: Correction, H: Array, R: Array) -> Array:
+    """P⁺ `(run, n, n)` in the tangent at x̂⁻, to be symmetrized.
+
+    `joseph` is (I - K H) P (I - K H)ᵀ + K R Kᵀ (Bishop, eq. 19) and keeps P positive definite under
+    rounding; `simplified` is (I - K H) P (eq. 21), `symmetric` P - K S Kᵀ (source 003, eq. 8).
+    """
+    if form == "symmetric":
+        return P - c.reduction
+    # A component that did not arrive has a zero column in K, so H and R need no mask.
+    A = identity(P.shape[-1]) - c.gain @ H
+    cov = A @ P
+    return cov if form == "simplified" else cov @ A.mT + c.gain @ R @ c.gain.mT
