@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from estbench import records, setup, streams
 from estbench.errors import EstbenchError, EstimatorError
 from estbench.filtering import Live, Recorded, run_filter
-from estbench.innovations import Listened, listen, readings
+from estbench.innovations import readings
 from estbench.traces import Traces
 from estbench.truth import Trajectory, simulate
 
@@ -69,14 +68,12 @@ def run_batch(
     """Simulate some runs and every estimator on them; None when stopped."""
     out = {}
     truth: records.Record = {}
-    for label, traces, heard in _passes(prepared, runs, keep == "full", keep == "full", stop):
+    full = keep == "full"
+    for label, traces in traced(prepared, runs, full, full, stop):
         if traces is None:
             return None
         section = prepared.scenario.consistency
         out[label] = records.reduce(traces, prepared.times, section, keep)
-        if heard is not None:
-            for name in ("innovation", "innovation_cov"):
-                out[label][name] = np.swapaxes(getattr(heard, name), 0, 1)
         if keep != "summary":
             x = {"x": np.swapaxes(traces.truth, 0, 1)}
             if prepared.scenario.control.observe == "estimate":
@@ -90,28 +87,10 @@ def traced(
     prepared: setup.Setup,
     runs: Sequence[int],
     keep_cov: bool = False,
+    keep_innovations: bool = False,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[tuple[str, Traces | None]]:
-    """The traces of each estimator on some runs, one estimator after the other."""
-    for label, traces, _ in _passes(prepared, runs, keep_cov, False, stop):
-        yield label, traces
-
-
-class _Pass(NamedTuple):
-    """One estimator on some runs; no traces when it was stopped."""
-
-    label: str
-    traces: Traces | None
-    heard: Listened | None
-
-
-def _passes(
-    prepared: setup.Setup,
-    runs: Sequence[int],
-    keep_cov: bool,
-    hear: bool,
-    stop: Callable[[], bool],
-) -> Iterator[_Pass]:
+    """The traces of each estimator on some runs, one after the other; None ends it: stopped."""
     period = prepared.plant.period
     live = prepared.scenario.control.observe == "estimate"
     trajectory: Trajectory | None = None
@@ -125,20 +104,17 @@ def _passes(
         )
         mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
         keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
-        estimator, heard = prepared.estimator(label), None
-        if hear:
-            ends = [instant.end for instant in prepared.instants]
-            heard = listen(estimator, prepared.channel_spaces, ends, len(runs))
+        estimator = prepared.estimator(label)
         try:
             traces = run_filter(
-                heard or estimator, prepared.space, (mean, cov), source,
-                prepared.channel_spaces,
-                delays=prepared.delays(label), keys=keys, keep_cov=keep_cov, stop=stop,
+                estimator, prepared.space, (mean, cov), source, prepared.channel_spaces,
+                delays=prepared.delays(label), keys=keys, keep_cov=keep_cov,
+                keep_innovations=keep_innovations, stop=stop,
             )  # fmt: skip
         except (EstbenchError, MemoryError):
             raise
         except Exception as error:  # a user's estimator may raise anything
             raise EstimatorError(f"{label} raised {type(error).__name__}: {error}") from error
-        yield _Pass(label, traces, heard)
+        yield label, traces
         if traces is None:
             return

@@ -1,18 +1,18 @@
-"""Innovations as they were, for a store that keeps everything: an estimator that is listened to."""
+"""What is recorded of every update: NIS, lag products, and ν and S themselves where asked for."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import wraps
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Estimator, Innovation, Passage
+from estbench.estimators.base import Innovation
+from estbench.lags import Lags
 from estbench.manifold import Manifold
-from estbench.models.base import Channels
+from estbench.partial import Rows
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def readings(spaces: Mapping[str, Manifold]) -> tuple[str, ...]:
@@ -24,110 +24,91 @@ def readings(spaces: Mapping[str, Manifold]) -> tuple[str, ...]:
     )
 
 
-def listen(
-    estimator: Estimator, spaces: Mapping[str, Manifold], ends: Sequence[float], runs: int
-) -> "Listened":
-    """The estimator, with its innovations noted as it updates.
+class Innovations:
+    """The innovations of a batch, noted as the event loop fuses readings.
+
+    A late reading makes the loop update again from its instant on: `clear` says of which runs, and
+    what is noted then replaces what was.
 
     Args:
-        estimator: any object of the protocol.
         spaces: channel -> the manifold of its readings, in the measurement's order.
-        ends: time of each instant `(K,)`, s.
+        count: of instants.
         runs: how many.
-    """
-    # A class of the same name: error messages name the user's class, not this one.
-    base = ListenedSmoother if hasattr(estimator, "smooth") else Listened
-    kind = cast(type[Listened], type(type(estimator).__name__, (base,), {}))
-    return kind(estimator, spaces, ends, runs)
-
-
-@dataclass(frozen=True, eq=False)
-class Heard:
-    """A belief in a wrapper: who drives the estimator sees nothing that it could cut into runs.
-
-    An update of some of the runs would not say which ones they are.
-    """
-
-    belief: Any
-
-    @property
-    def fault(self) -> Any:
-        """Why runs failed, where the belief says it."""
-        return getattr(self.belief, "fault", None)
-
-
-class Listened:
-    """See `listen`.
+        keep: whether to record ν and S too.
 
     Attributes:
-        innovation: ν of each instant `(K + 1, run, m)`, NaN where nothing was fused; index 0 is
-            the prior. Of two readings of one component at an instant the last counts, and a
-            replay writes over what it changes.
-        innovation_cov: S of the components fused together `(K + 1, run, m, m)`.
+        runs: how many.
     """
 
-    def __init__(
-        self,
-        estimator: Estimator,
-        spaces: Mapping[str, Manifold],
-        ends: Sequence[float],
-        runs: int,
-    ):
+    def __init__(self, spaces: Mapping[str, Manifold], count: int, runs: int, keep: bool = False):
         stops = np.cumsum([0, *(space.n for space in spaces.values())])
-        self._estimator = estimator
-        self._places = {name: np.arange(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
-        self._index = {t: k + 1 for k, t in enumerate(ends)}
-        self.innovation = np.full((len(ends) + 1, runs, stops[-1]), np.nan)
-        self.innovation_cov = np.full((len(ends) + 1, runs, stops[-1], stops[-1]), np.nan)
+        self._columns = {name: np.arange(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
+        self.runs = runs
+        self._nis, self._dof = np.zeros((count, runs)), np.zeros((count, runs), np.int64)
+        self._lags = Lags(runs, {name: space.n for name, space in spaces.items()})
+        shape = count + 1, runs, stops[-1]
+        self._kept = (np.full(shape, np.nan), np.full((*shape, shape[-1]), np.nan)) if keep else ()
 
-        @wraps(estimator.init)  # its signature says whether it takes random keys
-        def init(*arguments: Any, **keys: Any) -> Heard:
-            return Heard(estimator.init(*arguments, **keys))
+    def clear(self, k: int, rows: Rows) -> None:
+        """Forget what some runs had at instant k."""
+        self._nis[k, rows], self._dof[k, rows] = 0.0, 0
+        for kept in self._kept:
+            kept[k + 1, rows] = np.nan
 
-        self.init = init
-
-    def predict(self, belief: Heard, u: Array, t: float, dt: float) -> Heard:
-        """The estimator's own prediction."""
-        return Heard(self._estimator.predict(belief.belief, u, t, dt))
-
-    def mean(self, belief: Heard) -> Array:
-        """x̂ `(run, nx)`."""
-        return self._estimator.mean(belief.belief)
-
-    def cov(self, belief: Heard) -> Array:
-        """P `(run, n, n)`."""
-        return self._estimator.cov(belief.belief)
-
-    def update(
+    def put(
         self,
-        belief: Heard,
-        y: Array,
-        u: Array,
-        t: float,
-        channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
-    ) -> tuple[Heard, Innovation]:
-        """The estimator's own update."""
-        masked = {} if mask is None else {"mask": mask}
-        after, innovation = self._estimator.update(belief.belief, y, u, t, channels, **masked)
-        where = np.concatenate([self._places[name] for name in channels or self._places])
-        if np.shape(innovation.residual)[-1:] == where.shape:  # a particle filter may give none
-            fused = innovation.dof[:, None] > 0  # a start that only gathers readings fuses none
-            came = np.broadcast_to(
-                fused if mask is None else mask & fused, innovation.residual.shape
-            )
-            both = came[:, :, None] & came[:, None, :]
-            residual, cov = self.innovation[self._index[t]], self.innovation_cov[self._index[t]]
-            block = np.ix_(np.arange(len(cov)), where, where)
-            residual[:, where] = np.where(came, innovation.residual, residual[:, where])
-            cov[block] = np.where(both, innovation.cov, cov[block])
-        return Heard(after), innovation
+        k: int,
+        layer: int,
+        channels: Sequence[str],
+        innovation: Innovation,
+        mask: Mask | None,
+        rows: Rows,
+    ) -> None:
+        """Note an update.
 
+        Args:
+            k: the instant at which the readings belong.
+            layer: of the instant's updates; of two readings of one component NIS has the sum, ν and
+                S the last.
+            channels: that were fused.
+            innovation: of some runs.
+            mask: `(run, m)` of those runs, True where a component arrived; None means everywhere.
+            rows: which runs they are.
+        """
+        self._nis[k, rows] += innovation.nis
+        self._dof[k, rows] += innovation.dof
+        fused = np.reshape(innovation.dof, (-1, 1)) > 0
+        if not fused.all():  # a start gathers readings before it fuses any
+            mask = fused if mask is None else mask & fused
+        if np.size(innovation.white):  # an estimator may have none, and no ν and S either
+            m = np.shape(innovation.white)[-1]
+            came = None if mask is None else np.broadcast_to(mask, (len(mask), m))
+            self._lags.put(k, layer, channels, innovation.white, came, rows)
+        if self._kept and np.size(innovation.residual):
+            self._keep(k, channels, innovation, mask, rows)
 
-class ListenedSmoother(Listened):
-    """One that also looks back."""
+    def _keep(
+        self, k: int, channels: Sequence[str], innovation: Innovation, mask: Mask | None, rows: Rows
+    ) -> None:
+        """Write ν and S where they belong."""
+        residual, cov = (kept[k + 1] for kept in self._kept)
+        runs = np.arange(self.runs)[rows]
+        where = np.concatenate([self._columns[name] for name in channels])
+        came = np.broadcast_to(True if mask is None else mask, (len(runs), len(where)))
+        vector, block = np.ix_(runs, where), np.ix_(runs, where, where)
+        residual[vector] = np.where(came, innovation.residual, residual[vector])
+        both = came[:, :, None] & came[:, None, :]
+        cov[block] = np.where(both, innovation.cov, cov[block])
 
-    def smooth(self, passage: Passage) -> list[Heard]:
-        """The estimator's own look back."""
-        inner = replace(passage, beliefs=[belief.belief for belief in passage.beliefs])
-        return [Heard(belief) for belief in self._estimator.smooth(inner)]  # type: ignore[attr-defined]
+    def traces(self) -> dict[str, Any]:
+        """What `Traces` says of innovations."""
+        lags, lag_terms = self._lags.sums()
+        residual, cov = self._kept or (None, None)
+        return {
+            "nis": np.where(self._dof > 0, self._nis, np.nan),
+            "dof": self._dof,
+            "lags": lags,
+            "lag_terms": lag_terms,
+            "innovation": residual,
+            "innovation_cov": cov,
+        }

@@ -94,7 +94,7 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
     """The record of one batch, run-major.
 
     Args:
-        traces: time-major, `(K + 1, run, ...)`.
+        traces: time-major, `(K + 1, run, ...)`; with all that `keep` asks for.
         times: `(K + 1,)` s; index 0 is the prior and is left out of averages.
         section: burn-in and the definition of divergence.
         keep: `summary`, `diagonal` or `full`.
@@ -142,8 +142,9 @@ def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str)
             ("nees", traces.nees), ("nis", nis), ("dof", dof),
         ):  # fmt: skip
             record[name] = np.swapaxes(value, 0, 1)
-    if keep == "full" and traces.cov is not None:
-        record["cov"] = np.swapaxes(traces.cov, 0, 1)
+    if keep == "full":
+        for name in FULL:
+            record[name] = np.swapaxes(getattr(traces, name), 0, 1)
     return record
 
 

@@ -19,7 +19,7 @@ from estbench.errors import (
 from estbench.estimators import registry
 from estbench.estimators.adaptive import AdaptiveEKF
 from estbench.estimators.base import Estimator
-from estbench.filtering import Delays
+from estbench.fusion import Delays
 from estbench.manifold import Manifold
 from estbench.models import layout, mjcf
 from estbench.models.differences import Differences

@@ -34,6 +34,8 @@ class Traces:
         late: per run, readings that came after the window and were not fused.
         cpu_time: seconds of one core spent in predict and update, all runs together.
         cov: P `(K + 1, run, n, n)` when asked for, else None.
+        innovation: ν `(K + 1, run, m)` when asked for, NaN where nothing was fused.
+        innovation_cov: S of the components fused together `(K + 1, run, m, m)`, likewise.
     """
 
     truth: Array
@@ -50,6 +52,8 @@ class Traces:
     late: NDArray[np.int64]
     cpu_time: float
     cov: Array | None = None
+    innovation: Array | None = None
+    innovation_cov: Array | None = None
 
     @property
     def lag_one(self) -> Array:

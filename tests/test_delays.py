@@ -10,7 +10,8 @@ import pytest
 from estbench import experiment, setup
 from estbench.estimators import registry
 from estbench.estimators.ekf import EKF
-from estbench.filtering import Delays, Recorded, run_filter
+from estbench.filtering import Recorded, run_filter
+from estbench.fusion import Delays
 from estbench.models.rows import engine
 from estbench.truth import Trajectory
 from tests.helpers import simulated

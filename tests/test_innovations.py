@@ -1,5 +1,7 @@
 """A store that keeps everything: ν and S of every update, also where readings miss or come late."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,8 +9,10 @@ from scipy import stats
 import estbench
 from estbench import experiment, setup
 from estbench.analysis.compare import compare_stores
-from estbench.innovations import listen, readings
+from estbench.estimators.base import Innovation
+from estbench.innovations import Innovations, readings
 from estbench.manifold import Manifold
+from estbench.partial import ALL
 
 LATE = ["channels.pole_encoder.latency=0.02", "channels.cart_encoder.dropout=0.3"]
 
@@ -40,22 +44,76 @@ def test_nis_and_dof_follow_from_what_is_stored(tmp_path, scenario, overrides):
     assert some == (overrides == LATE or scenario == "quadrotor")
 
 
+LATE_IN_FEW = (
+    "channels.encoder.latency=0.01", "channels.encoder.latency_std=0.01", "filter.window=0.05",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("overrides", [(), LATE_IN_FEW], ids=["on time", "late in few"])
 @pytest.mark.parametrize("label", ["ekf", "rts", "pf"])  # one looks back, one takes random keys
-def test_listening_changes_no_number(label):
-    prepared = setup.build(experiment.resolve("pendulum", [label], runs=3, duration=0.2))
-    plain, full = (experiment.run_batch(prepared, range(3), k) for k in ("diagonal", "full"))
+def test_keeping_everything_changes_no_number(label, overrides):
+    """Nor what is replayed: a run's late reading would round its neighbours otherwise."""
+    runs = range(16)
+    prepared = setup.build(
+        experiment.resolve("pendulum", [label], duration=0.3, overrides=overrides)
+    )
+    plain, full = (experiment.run_batch(prepared, runs, k) for k in ("diagonal", "full"))
     for name, value in plain.records[label].items():
         if name != "cpu_time":
             np.testing.assert_array_equal(value, full.records[label][name])
 
 
-def test_the_names_of_readings_and_of_the_class():
-    spaces = {"a": Manifold.euclidean(1), "b": Manifold.euclidean(2, ["x", "y"])}
-    assert readings(spaces) == ("a", "b.x", "b.y")
-    prepared = setup.build(experiment.resolve("pendulum", ["ekf"], runs=1, duration=0.1))
-    heard = listen(prepared.estimator("ekf"), prepared.channel_spaces, [0.1], 1)
-    assert type(heard).__name__ == "EKF"
-    assert not hasattr(heard, "smooth")
+SPACES = {"a": Manifold.euclidean(1), "b": Manifold.euclidean(2, ["x", "y"])}
+
+
+def test_the_names_of_readings():
+    assert readings(SPACES) == ("a", "b.x", "b.y")
+
+
+def innovation(value, dof, runs=3):
+    """Of `value` in every component, with S = value² I; `dof` a run."""
+    m = max(dof)
+    full = np.full((runs, m), float(value))
+    S = np.tile(value**2 * np.eye(m), (runs, 1, 1))
+    return Innovation(full, S, full / value, np.asarray(dof) * 1.0, np.asarray(dof))
+
+
+def test_an_update_of_some_runs_leaves_the_others_and_a_replay_replaces():
+    noted = Innovations(SPACES, 2, 3, keep=True)
+    noted.clear(1, ALL)
+    noted.put(1, 0, ("b",), innovation(2, [2, 2, 2]), None, ALL)
+    # A late reading of `a` in run 2: it is updated again, alone, twice in the rows.
+    rows = np.array([2, 2])
+    noted.clear(1, rows)
+    noted.put(1, 0, ("a", "b"), innovation(5, [3, 3], runs=2), None, rows)
+    found, nan = noted.traces(), np.nan
+    np.testing.assert_array_equal(found["nis"], [[nan] * 3, [2, 2, 3]])
+    np.testing.assert_array_equal(found["dof"], [[0] * 3, [2, 2, 3]])
+    assert np.isnan(found["innovation"][:2]).all()
+    np.testing.assert_array_equal(found["innovation"][2], [[nan, 2, 2], [nan, 2, 2], [5, 5, 5]])
+    np.testing.assert_array_equal(
+        found["innovation_cov"][2, 0], [[nan, nan, nan], [nan, 4, 0], [nan, 0, 4]]
+    )
+    np.testing.assert_array_equal(found["innovation_cov"][2, 2], 25 * np.eye(3))
+
+
+def test_what_was_only_gathered_is_not_noted():
+    """A start puts readings by: of no degrees of freedom, whatever ν and S it answers."""
+    noted = Innovations(SPACES, 3, 3, keep=True)
+    noted.put(0, 0, ("b",), replace(innovation(2, [2, 2, 2]), dof=np.zeros(3, int)), None, ALL)
+    noted.put(1, 0, ("b",), innovation(2, [2, 2, 0]), np.ones((3, 2), bool), ALL)
+    noted.put(2, 0, ("b",), innovation(2, [2, 2, 2]), None, ALL)
+    found = noted.traces()
+    np.testing.assert_array_equal(found["dof"][:, 2], [0, 0, 2])
+    np.testing.assert_array_equal(np.isfinite(found["innovation"][1:, 2, 1]), [False, False, True])
+    np.testing.assert_array_equal(found["lag_terms"][:, :2], [[4, 2], [4, 2], [2, 0]])
+
+
+def test_without_keep_there_is_no_memory_of_it():
+    noted = Innovations(SPACES, 2, 3)
+    noted.put(1, 0, ("b",), innovation(2, [2, 2, 2]), None, ALL)
+    assert noted.traces()["innovation"] is None
+    assert noted.traces()["innovation_cov"] is None
 
 
 def test_the_tables_follow_from_what_is_stored(tmp_path):

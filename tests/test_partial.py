@@ -10,7 +10,8 @@ import pytest
 from estbench import experiment, partial, setup
 from estbench.estimators import registry
 from estbench.estimators.base import Gaussian
-from estbench.filtering import Delays, Recorded, run_filter
+from estbench.filtering import Recorded, run_filter
+from estbench.fusion import Delays
 from estbench.models.rows import engine
 from estbench.truth import Trajectory, simulate
 

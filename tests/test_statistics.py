@@ -27,6 +27,8 @@ def traces(runs=6, steps=4, n=2, seed=0, spread=1.0):
         fault=np.zeros(runs, np.uint8), fault_step=np.full(runs, -1), late=np.arange(runs),
         cpu_time=6e-3,
         cov=np.tile(np.eye(n), (steps + 1, runs, 1, 1)),
+        innovation=rng.standard_normal((steps + 1, runs, 3)),
+        innovation_cov=rng.standard_normal((steps + 1, runs, 3, 3)),
     )  # fmt: skip
 
 
@@ -113,10 +115,9 @@ def test_a_run_without_readings_has_no_nis():
 @pytest.mark.parametrize("keep", ["summary", "diagonal", "full"])
 def test_a_record_has_the_declared_fields_dimensions_and_types(keep):
     record = reduce(traces(), keep)
-    heard = {"innovation", "innovation_cov"}  # by `innovations.listen`, not from the traces
-    assert set(record) == set(records.fields(keep) | records.COST) - heard
+    assert set(record) == set(records.fields(keep) | records.COST)
     sizes = {"run": 6, "time": 5, "batch": 1, "coordinate": 2, "coordinate_": 2, "state": 2,
-             "lag": 3}  # fmt: skip
+             "reading": 3, "reading_": 3, "lag": 3}  # fmt: skip
     for name in record.keys() & records.fields(keep).keys():
         field = records.fields(keep)[name]
         assert record[name].shape == tuple(sizes[d] for d in field.dims), name
@@ -128,6 +129,8 @@ def test_traces_are_run_major_and_nis_stands_at_its_instant():
     record = reduce(t, "full")
     np.testing.assert_array_equal(record["error"][3, 4], t.error[4, 3])
     np.testing.assert_array_equal(record["estimate"][3, 4], t.mean[4, 3])
+    np.testing.assert_array_equal(record["innovation"][3, 4], t.innovation[4, 3])
+    np.testing.assert_array_equal(record["innovation_cov"][3, 4], t.innovation_cov[4, 3])
     np.testing.assert_array_equal(record["nis"][3, 1:], t.nis[:, 3])
     assert np.isnan(record["nis"][:, 0]).all()
     np.testing.assert_array_equal(record["dof"][3], [0, 1, 0, 2, 2])

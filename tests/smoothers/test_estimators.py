@@ -8,7 +8,8 @@ from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.base import Fault, Gaussian, Measurement, Passage, Smoother
 from estbench.estimators.ekf import EKF
-from estbench.filtering import Delays, Recorded, run_filter
+from estbench.filtering import Recorded, run_filter
+from estbench.fusion import Delays
 from estbench.models.rows import engine
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate
