@@ -1,6 +1,7 @@
 """Lag products of whitened innovations: what a white sequence has none of."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,22 @@ Noted = tuple[Sequence[str], Array, Mask | None]
 
 LAGS = 10
 """How many lags, in arrivals."""
+
+
+def correlation(sums: Array, terms: NDArray[Any]) -> Array:
+    """Correlation of each lag from 0, `(..., LAGS + 1)`; NaN for a lag without terms.
+
+        ρₗ = (Sₗ/Nₗ) / (S₀/N₀)
+
+    Innovations that are all k times as large have the same; their size is what NIS looks at.
+
+    Args:
+        sums: Sₗ, of the products ν̃ₖ·ν̃ₖ₋ₗ.
+        terms: Nₗ, how many products of two numbers are in each.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums / terms
+        return mean / mean[..., :1]
 
 
 class Lags:

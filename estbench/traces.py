@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.base import Estimator, Fault
+from estbench.lags import correlation
 from estbench.linalg import quadratic_form
 from estbench.manifold import Manifold
 
@@ -58,8 +59,7 @@ class Traces:
     @property
     def lag_one(self) -> Array:
         """Lag-one correlation of the whitened innovations `(run,)`, NaN without two of them."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return self.lags[:, 1] / self.lag_terms[:, 1]
+        return correlation(self.lags, self.lag_terms)[:, 1]
 
 
 class Recorder:

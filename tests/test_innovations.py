@@ -133,14 +133,17 @@ def test_the_tables_follow_from_what_is_stored(tmp_path):
     assert not ekf["diverged"].any()
     # Ljung & Box, one run at a time; ten lags and no parameter fitted: ten degrees of freedom
     white = np.linalg.solve(np.linalg.cholesky(S), v[..., None])[..., 0]
-    rejected = 0
+    rejected, first = 0, []
     for w in white:
         N = m * steps
         c0 = (w**2).sum() / N
         rho = [(w[k:] * w[:-k]).sum() / (m * (steps - k)) / c0 for k in range(1, 11)]
+        first.append(rho[0])
         Q = (N + 2) / N * sum(m * (steps - k) * r**2 for k, r in enumerate(rho, 1))
         rejected += bool(stats.chi2.ppf(0.95, 10) < Q)
+    assert f.summary.lag_one.value == pytest.approx(np.mean(first))
     assert f.whiteness is not None
+    assert f.whiteness.correlation[0] == f.summary.lag_one
     assert f.whiteness.rejected.value == pytest.approx(rejected / runs)
     # Li & Zhao
     nees = np.einsum("rki,rkij,rkj->rk", e, np.linalg.inv(P), e)

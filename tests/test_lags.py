@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from estbench.lags import LAGS, Lags
+from estbench.lags import LAGS, Lags, correlation
 
 WIDTHS = {"gyro": 2, "position": 1}
 
@@ -110,3 +110,25 @@ def test_nothing_arrived():
     sums, terms = Lags(2, WIDTHS).sums()
     assert sums.shape == terms.shape == (2, LAGS + 1)
     assert not terms.any()
+
+
+@pytest.mark.parametrize("scale", [1.0, 7.0])
+def test_a_correlation_is_that_of_numpy_whatever_the_size(scale):
+    """Of one long component of mean zero, where the ends do not matter."""
+    noise = np.random.default_rng(9).standard_normal((4001, 3, 1))
+    x = noise[1:] + 0.5 * noise[:-1]  # 0.5/(1 + 0.5²) = 0.4 at lag 1
+    lags = Lags(3, {"position": 1})
+    for k, white in enumerate(scale * x):
+        lags.put(k, 0, ("position",), white)
+    rho = correlation(*lags.sums())
+    assert (rho[:, 0] == 1).all()
+    for run in range(3):
+        expected = np.corrcoef(x[1:, run, 0], x[:-1, run, 0])[0, 1]
+        assert rho[run, 1] == pytest.approx(expected, abs=2e-3)
+    np.testing.assert_allclose(rho[:, 1], 0.4, atol=0.0625)  # sigma 0.0125: 5 sigma, 2e-6
+
+
+def test_a_lag_without_terms_has_no_correlation():
+    rho = correlation(*fed([(("gyro",), white, None) for white in normal(10, 2)], 4))
+    assert np.isfinite(rho[:, :2]).all()
+    assert np.isnan(rho[:, 2:]).all()

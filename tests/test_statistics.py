@@ -68,7 +68,7 @@ def test_averages_of_a_run_by_hand():
         assert record["anis"][run] == pytest.approx((t.nis[2, run] + t.nis[3, run]) / 2 / 2)
         np.testing.assert_allclose(record["mse"][run], (t.error[settled, run] ** 2).mean(axis=0))
         np.testing.assert_allclose(record["variance"][run], (t.std[settled, run] ** 2).mean(axis=0))
-    np.testing.assert_allclose(record["lag_one"], t.lags[:, 1] / 8)
+    np.testing.assert_allclose(record["lag_one"], (t.lags[:, 1] / 8) / (t.lags[:, 0] / 9))
     for k in (1, 2, 3):
         share = (np.abs(t.error[settled]) <= k * t.std[settled]).mean(axis=0)
         np.testing.assert_allclose(record[f"inside_{k}"], share)

@@ -13,6 +13,7 @@ from scipy import stats
 
 from estbench.analysis.intervals import wilson
 from estbench.consistency import Interval, mean_interval
+from estbench.lags import correlation
 
 Array = NDArray[np.float64]
 
@@ -34,8 +35,7 @@ def portmanteau(products: Array, terms: NDArray[Any]) -> Array:
         terms: Nₗ, the same shape; a lag without terms does not count.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        power = products[..., :1] / terms[..., :1]
-        rho = np.where(terms > 0, products / terms, 0.0) / power
+        rho = np.where(terms > 0, correlation(products, terms), 0.0)
         total = terms[..., 0]
         return (total + 2) / total * (terms * rho**2)[..., 1:].sum(axis=-1)
 
@@ -71,10 +71,9 @@ def whiteness(products: Array, terms: NDArray[Any], level: float = 0.95) -> Whit
     dof = (terms[:, 1:] > 0).sum(axis=-1)
     rejected = stats.chi2.sf(portmanteau(products, terms), dof) < 1 - level
     pooled = products.sum(axis=0), terms.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = (products / terms)[:, 1:] / (products[:, :1] / terms[:, :1])
+    each = correlation(products, terms)[:, 1:]
     return Whiteness(
-        correlation=tuple(mean_interval(column, level) for column in correlation.T),
+        correlation=tuple(mean_interval(column, level) for column in each.T),
         rejected=wilson(int(rejected.sum()), len(rejected), level),
         p=float(stats.chi2.sf(portmanteau(*pooled), int((pooled[1][1:] > 0).sum()))),
     )
