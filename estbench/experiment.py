@@ -9,18 +9,10 @@ from typing import Literal
 
 from estbench import batches as one
 from estbench import executors, records, setup, statistics, store, worker
-from estbench import scenario as scenarios
 from estbench.batches import default_batch_size, run_batch, traced
-from estbench.errors import (
-    EstimatorError,
-    ExecutorError,
-    Interrupted,
-    ScenarioError,
-    StoreError,
-    did_you_mean,
-)
-from estbench.estimators import registry
+from estbench.errors import ExecutorError, Interrupted, StoreError
 from estbench.results import Results
+from estbench.scenario import Scenario, resolve
 
 __all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
 
@@ -29,7 +21,7 @@ Progress = Callable[[int, int], None]
 
 
 def run(
-    scenario: str | Path | scenarios.Scenario,
+    scenario: str | Path | Scenario,
     estimators: Sequence[str] | None = None,
     *,
     runs: int | None = None,
@@ -248,40 +240,6 @@ def _give_up(
     # Nothing works: the input is at fault, or the machine, not one batch.
     if not done and (failed > 2 or not isinstance(error, ExecutorError)):
         raise error
-
-
-def resolve(
-    scenario: str | Path | scenarios.Scenario,
-    estimators: Sequence[str] | None = None,
-    runs: int | None = None,
-    seed: int | None = None,
-    duration: float | None = None,
-    overrides: Sequence[str] = (),
-) -> scenarios.Scenario:
-    """The scenario with the arguments of `run` applied."""
-    simulation = {"runs": runs, "seed": seed, "duration": duration}
-    overrides = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None] + [
-        *overrides
-    ]
-    if isinstance(scenario, scenarios.Scenario):
-        resolved = scenarios.override(scenario, overrides)
-    else:
-        resolved = scenarios.load(scenario, overrides)
-    if estimators:
-        known = dict(resolved.estimators)
-        chosen = {}
-        for name in estimators:
-            label = name.rpartition(":")[2] if ":" in name else name
-            if label in chosen:
-                raise EstimatorError(f"estimator '{label}' is named twice; give each its own label")
-            chosen[label] = known.get(name, {} if label == name else {"type": name})
-            if name not in known and ":" not in name and name not in registry.known():
-                hint = did_you_mean(name, {**registry.known(), **known})
-                raise EstimatorError(f"no estimator '{name}'{hint}")
-        resolved = resolved.model_copy(update={"estimators": chosen})
-    if "truth" in resolved.estimators:
-        raise ScenarioError("estimators.truth: the label 'truth' is taken; choose another")
-    return resolved
 
 
 def _collect(

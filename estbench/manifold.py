@@ -162,6 +162,19 @@ def product(spaces: Sequence[Manifold]) -> Manifold:
     return Manifold(tuple(names), tuple(units), np.concatenate(quaternions))
 
 
+def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Array]:
+    """∂(y ⊞ c) with respect to a change of y (H) and of c (C), in the tangent at y ⊞ c.
+
+    For a rotation vector c they are R(c)ᵀ = I - [c]× J_r(c) and J_r(c) (Solà 2017, eq. 183).
+    """
+    jacobian = space.reset_jacobian(shift)
+    turn = np.broadcast_to(np.eye(space.n), jacobian.shape).copy()
+    for start in space.quaternions[:, 1]:
+        block = slice(start, start + 3)
+        turn[..., block, block] -= rotation.skew(shift[..., block]) @ jacobian[..., block, block]
+    return turn @ H, jacobian @ C
+
+
 def _weighted(weights: Array, points: Array) -> Array:
     """Σ wᵢ pᵢ `(..., k)` for weights `(point,)` or `(..., point)` and points `(..., point, k)`."""
     return weights @ points if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]

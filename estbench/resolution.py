@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench import datasheet, schedules, sensors
 from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
 from estbench.manifold import Manifold
-from estbench.models import layout
+from estbench.models import layout, mjcf
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import SensorChannel
 from estbench.models.reading import Source
@@ -28,6 +28,45 @@ from estbench.timing import Instant, Native
 Array = NDArray[np.float64]
 
 DEFAULT_DENSITY = 0.01
+
+
+def robots(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel, mujoco.MjModel]:
+    """The robot's description, the true robot, and the one that the filter believes in.
+
+    Raises:
+        ScenarioError: a robot cannot be compiled, or has no state.
+        DimensionError: the two have different states or controls.
+    """
+    section, belief = scenario.model, scenario.filter
+    added = {name: c.add for name, c in scenario.channels.items() if c.add is not None}
+    spec = mjcf.read(section.path, added)
+    truth = mjcf.compile_model(
+        spec,
+        timestep=section.timestep,
+        integrator=section.integrator,
+        settings={**section.set, **scenario.truth.set},
+    )
+    believed = mjcf.compile_model(
+        mjcf.read(belief.path, added) if belief.path else spec,
+        timestep=belief.timestep or section.timestep,
+        integrator=belief.integrator or section.integrator,
+        settings={**section.set, **belief.set},
+        where="filter",
+    )
+    for name, model in (("model", truth), ("filter", believed)):
+        if not model.opt.timestep > 0:
+            raise ScenarioError(f"{name}.timestep is {model.opt.timestep:g} s; use one above 0")
+    space = layout.state_space(truth)
+    if not space.n:
+        raise ScenarioError(
+            f"model.path '{section.path}' has no joint: there is no state to estimate"
+        )
+    if layout.state_space(believed).names != space.names or believed.nu != truth.nu:
+        raise DimensionError(
+            f"filter.path: states {', '.join(layout.state_space(believed).names)} with "
+            f"{believed.nu} controls; expected {', '.join(space.names)} with {truth.nu}"
+        )
+    return spec, truth, believed
 
 
 def disturbance(

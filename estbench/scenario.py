@@ -8,11 +8,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from estbench.errors import ScenarioError, did_you_mean
+from estbench.errors import EstimatorError, ScenarioError, did_you_mean
+from estbench.estimators import registry
 from estbench.mistakes import explain
 from estbench.sections import Scenario, StartSection
 
-__all__ = ["Scenario", "bundled", "load", "override", "parse", "start"]
+__all__ = ["Scenario", "bundled", "changes", "load", "override", "parse", "resolve", "start"]
 
 
 def bundled() -> dict[str, Path]:
@@ -62,6 +63,53 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
 
 
+def resolve(
+    scenario: str | Path | Scenario,
+    estimators: Sequence[str] | None = None,
+    runs: int | None = None,
+    seed: int | None = None,
+    duration: float | None = None,
+    overrides: Sequence[str] = (),
+) -> Scenario:
+    """The scenario of `experiment.run`'s arguments.
+
+    Args:
+        scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
+        estimators: labels or names to run in place of the scenario's.
+        runs: Monte Carlo runs, in place of the scenario's.
+        seed: in place of the scenario's.
+        duration: s, in place of the scenario's.
+        overrides: `section.key=value` strings.
+
+    Raises:
+        ScenarioError: there is no such scenario, or it does not validate.
+        EstimatorError: an estimator is not known, or named twice.
+    """
+    simulation = {"runs": runs, "seed": seed, "duration": duration}
+    overrides = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None] + [
+        *overrides
+    ]
+    if isinstance(scenario, Scenario):
+        resolved = override(scenario, overrides)
+    else:
+        resolved = load(scenario, overrides)
+    if estimators:
+        known = dict(resolved.estimators)
+        chosen = {}
+        for name in estimators:
+            label = name.rpartition(":")[2] if ":" in name else name
+            if label in chosen:
+                raise EstimatorError(f"estimator '{label}' is named twice; give each its own label")
+            chosen[label] = known.get(name, {} if label == name else {"type": name})
+            if name not in known and ":" not in name and name not in registry.known():
+                hint = did_you_mean(name, {**registry.known(), **known})
+                raise EstimatorError(f"no estimator '{name}'{hint}")
+        resolved = resolved.model_copy(update={"estimators": chosen})
+    if "truth" in resolved.estimators:
+        raise ScenarioError("estimators.truth: the label 'truth' is taken; choose another")
+    return resolved
+
+
 def start(scenario: Scenario, label: str) -> StartSection:
     """How the estimator of a label starts: the scenario's [start], changed by its own table.
 
@@ -80,6 +128,17 @@ def start(scenario: Scenario, label: str) -> StartSection:
         raise ScenarioError(
             "; ".join(f"estimators.{label}.start.{mistake}" for mistake in found)
         ) from None
+
+
+def changes(before: Any, now: Any, key: str = "") -> list[tuple[str, Any, Any]]:
+    """Where two nested tables differ: dotted key, and the value before and now (None without)."""
+    if not isinstance(before, dict) or not isinstance(now, dict):
+        return [] if before == now else [(key, before, now)]
+    return [
+        change
+        for k in sorted({*before, *now})
+        for change in changes(before.get(k), now.get(k), f"{key}.{k}".lstrip("."))
+    ]
 
 
 def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Scenario:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from estbench import controllers, resolution, sensors, starting, timing
 from estbench import scenario as scenarios
 from estbench.errors import (
-    DimensionError,
     EstimatorError,
     ScenarioError,
 )
@@ -190,34 +189,8 @@ def build(scenario: Scenario) -> Setup:
             does not fit, before anything is simulated or written.
     """
     section, belief = scenario.model, scenario.filter
-    added = {name: c.add for name, c in scenario.channels.items() if c.add is not None}
-    spec = mjcf.read(section.path, added)
-    truth = mjcf.compile_model(
-        spec,
-        timestep=section.timestep,
-        integrator=section.integrator,
-        settings={**section.set, **scenario.truth.set},
-    )
-    believed = mjcf.compile_model(
-        mjcf.read(belief.path, added) if belief.path else spec,
-        timestep=belief.timestep or section.timestep,
-        integrator=belief.integrator or section.integrator,
-        settings={**section.set, **belief.set},
-        where="filter",
-    )
-    for name, model in (("model", truth), ("filter", believed)):
-        if not model.opt.timestep > 0:
-            raise ScenarioError(f"{name}.timestep is {model.opt.timestep:g} s; use one above 0")
+    spec, truth, believed = resolution.robots(scenario)
     space = layout.state_space(truth)
-    if not space.n:
-        raise ScenarioError(
-            f"model.path '{section.path}' has no joint: there is no state to estimate"
-        )
-    if layout.state_space(believed).names != space.names or believed.nu != truth.nu:
-        raise DimensionError(
-            f"filter.path: states {', '.join(layout.state_space(believed).names)} with "
-            f"{believed.nu} controls; expected {', '.join(space.names)} with {truth.nu}"
-        )
     duration = scenario.simulation.duration
     channels, notices = sensors.build(
         truth,

@@ -28,6 +28,7 @@ import zarr
 
 from estbench.errors import StoreError
 from estbench.records import COST, SUMMARY, TRUTH, Field, Record, fields
+from estbench.scenario import changes
 from estbench.setup import Setup
 from estbench.template import declare
 
@@ -118,10 +119,10 @@ class Store:
                 f"{folder / SCENARIO} cannot be read: {error}; choose another --out"
             ) from None
         now = tomllib.loads(setup.scenario.to_toml())
-        for key in sorted(_differing(before, now)):
+        for key, was, asked in changes(before, now):
             raise StoreError(
-                f"{folder} is of another scenario: {key} was {_value(before, key)!r} and is "
-                f"{_value(now, key)!r}; choose another --out"
+                f"{folder} is of another scenario: {key} was {was!r} and is {asked!r}; "
+                "choose another --out"
             )
         try:
             root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
@@ -279,20 +280,6 @@ def _unwritable(folder: Path, error: OSError) -> StoreError:
         if folder.exists()
         else f"{folder} cannot be written: {error.strerror or error}; choose another --out"
     )
-
-
-def _differing(a: Any, b: Any, path: str = "") -> set[str]:
-    """Dotted keys at which two nested tables differ."""
-    if isinstance(a, dict) and isinstance(b, dict):
-        keys = {*a, *b}
-        return {p for k in keys for p in _differing(a.get(k), b.get(k), f"{path}.{k}".strip("."))}
-    return set() if a == b else {path}
-
-
-def _value(table: Any, path: str) -> Any:
-    for key in path.split("."):
-        table = table.get(key) if isinstance(table, dict) else None
-    return table
 
 
 def open_results(folder: str | Path) -> xr.DataTree:

@@ -12,8 +12,8 @@ from estbench.estimators import registry
 from estbench.estimators.base import Estimator, Innovation
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.settings import names, table
+from estbench.models.augmented import Augmented
 from estbench.models.base import Channels, Model
-from estbench.models.wrappers import Augmented
 
 Array = NDArray[np.float64]
 PerName = float | Sequence[float] | dict[str, float]
@@ -25,7 +25,7 @@ class BiasFilter:
 
     Each quantity is a number for all, a list, or {pattern: number} over the measurement coordinates
     (`inputs`: over the controls `u0`, `u1`, ...); what has no positive std gets no bias, and
-    without any bias the filter is the base filter. See `estbench.models.wrappers.Augmented`.
+    without any bias the filter is the base filter. See `estbench.models.augmented.Augmented`.
 
     Cost per step: the base filter's. k unknown inputs take the EKF 2 k + 1 transitions and
     measurements more; every bias or input takes the UKF 2 of each more. Choose it where persistent

@@ -14,7 +14,7 @@ from estbench.estimators.settings import in_range, table
 from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
-from estbench.models.wrappers import ScaledNoise
+from estbench.models.scaled import ScaledNoise
 
 Array = NDArray[np.float64]
 

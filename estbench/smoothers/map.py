@@ -16,8 +16,8 @@ from scipy.sparse.linalg import splu
 
 from estbench.estimators.base import Fault, Gaussian, Measurement, marked
 from estbench.linalg import pad_absent, quadratic_form, symmetrize
+from estbench.manifold import carry
 from estbench.models.base import Model
-from estbench.models.wrappers import carry
 from estbench.smoothers.rts import check_lengths
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from estbench.estimators.ekf import EKF
 from estbench.estimators.registry import create
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.ukf import UKF
+from estbench.models.augmented import Augmented
 from estbench.models.linear import LinearModel
-from estbench.models.wrappers import Augmented
 from tests.estimators.test_enkf import start
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_states
 

@@ -5,8 +5,8 @@ from estbench.errors import ScenarioError
 from estbench.estimators.base import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.schmidt import SchmidtEKF
+from estbench.models.augmented import Augmented, Bias
 from estbench.models.linear import LinearModel
-from estbench.models.wrappers import Augmented, Bias
 from tests.estimators.test_enkf import start
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_states
 

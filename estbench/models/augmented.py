@@ -1,99 +1,24 @@
-"""Models made of another model: scaled noise, and a state augmented with biases or unknown inputs.
+"""A model whose state is augmented with biases or unknown inputs.
 
-Augmentation is source 002's remedy for biases: x_a = (x, b, d), x⁺ = f(x, u + E d) ⊞ w,
+It is source 002's remedy for biases: x_a = (x, b, d), x⁺ = f(x, u + E d) ⊞ w,
 y = h(x, u + E d) ⊞ (C b) ⊞ v, where b and d are constants, random walks or first-order Gauss-Markov
 processes (Gelb 1974, ch. 3).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import rotation
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.manifold import Manifold
+from estbench.manifold import Manifold, carry
 from estbench.models.base import Channels, Model
 from estbench.models.differences import Differences
 from estbench.naming import expand
 
 Array = NDArray[np.float64]
 PerName = float | Sequence[float] | dict[str, float]
-
-
-@dataclass(frozen=True)
-class ScaledNoise:
-    """The model with its Q times `q` and its R times `r`; both scales are positive.
-
-    Raises:
-        ScenarioError: a scale is not positive.
-    """
-
-    model: Model
-    q: float = 1.0
-    r: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, value in (("q", self.q), ("r", self.r)):
-            if not 0 < value < np.inf:
-                raise ScenarioError(f"noise scale {name} is {value!r}; use a positive number")
-
-    @property
-    def space(self) -> Manifold:
-        """The state's manifold."""
-        return self.model.space
-
-    @property
-    def nu(self) -> int:
-        """Count of controls."""
-        return self.model.nu
-
-    def output(self, channels: Channels = None) -> Manifold:
-        """The measurement's manifold."""
-        return self.model.output(channels)
-
-    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """The model's own f."""
-        return self.model.transition(x, u, t, dt)
-
-    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
-        """The model's own f and Φ."""
-        return self.model.transition_jacobian(x, u, t, dt)
-
-    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """Q q."""
-        return self.q * self.model.process_noise(x, u, t, dt)
-
-    def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
-        """The model's own h."""
-        return self.model.measurement(x, u, t, channels)
-
-    def measurement_jacobian(
-        self, x: Array, u: Array, t: float, channels: Channels = None
-    ) -> tuple[Array, Array]:
-        """The model's own h and H."""
-        return self.model.measurement_jacobian(x, u, t, channels)
-
-    def measurement_noise(self, t: float, channels: Channels = None) -> Array:
-        """R r."""
-        return self.r * self.model.measurement_noise(t, channels)
-
-    @property
-    def flow(self) -> Callable[..., Array] | None:
-        """The model's own ẋ, if it has one."""
-        return getattr(self.model, "flow", None)
-
-    @property
-    def flow_jacobian(self) -> Callable[..., tuple[Array, Array]] | None:
-        """The model's own ẋ and ∂ẋ/∂x, if it has them."""
-        return getattr(self.model, "flow_jacobian", None)
-
-    @property
-    def spectral_density(self) -> Callable[..., Array] | None:
-        """Q_s q, if the model has one."""
-        own = getattr(self.model, "spectral_density", None)
-        return own and (lambda *arguments: self.q * own(*arguments))
 
 
 @dataclass(frozen=True)
@@ -333,16 +258,3 @@ def _padded(cov: Array, variance: Array) -> Array:
     out[..., :n, :n] = cov
     out[..., n:, n:] = np.diag(variance)
     return out
-
-
-def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Array]:
-    """∂(y ⊞ c) with respect to a change of y (H) and of c (C), in the tangent at y ⊞ c.
-
-    For a rotation vector c they are R(c)ᵀ = I - [c]× J_r(c) and J_r(c) (Solà 2017, eq. 183).
-    """
-    jacobian = space.reset_jacobian(shift)
-    turn = np.broadcast_to(np.eye(space.n), jacobian.shape).copy()
-    for start in space.quaternions[:, 1]:
-        block = slice(start, start + 3)
-        turn[..., block, block] -= rotation.skew(shift[..., block]) @ jacobian[..., block, block]
-    return turn @ H, jacobian @ C
