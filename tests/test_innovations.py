@@ -10,6 +10,7 @@ import estbench
 from estbench import experiment, setup
 from estbench.analysis.compare import compare_stores
 from estbench.estimators.base import Innovation
+from estbench.estimators.ekf import EKF
 from estbench.innovations import Innovations, readings
 from estbench.manifold import Manifold
 from estbench.partial import ALL
@@ -44,20 +45,28 @@ def test_nis_and_dof_follow_from_what_is_stored(tmp_path, scenario, overrides):
     assert some == (overrides == LATE or scenario == "quadrotor")
 
 
-LATE_IN_FEW = (
-    "channels.encoder.latency=0.01", "channels.encoder.latency_std=0.01", "filter.window=0.05",
-)  # fmt: skip
+LATE_IN_FEW = ("channels.encoder.latency_std=0.005", "filter.window=0.05")
 
 
 @pytest.mark.parametrize("overrides", [(), LATE_IN_FEW], ids=["on time", "late in few"])
 @pytest.mark.parametrize("label", ["ekf", "rts", "pf"])  # one looks back, one takes random keys
-def test_keeping_everything_changes_no_number(label, overrides):
-    """Nor what is replayed: a run's late reading would round its neighbours otherwise."""
-    runs = range(16)
+def test_keeping_everything_changes_no_number(label, overrides, monkeypatch):
+    """Nor what is fused again: of the EKF, the rows of every update are counted."""
+    rows, update = [], EKF.update
+
+    def counted(self, belief, y, *arguments, **named):
+        rows.append(len(y))
+        return update(self, belief, y, *arguments, **named)
+
+    monkeypatch.setattr(EKF, "update", counted)
     prepared = setup.build(
-        experiment.resolve("pendulum", [label], duration=0.3, overrides=overrides)
+        experiment.resolve("pendulum", [label], duration=0.15, overrides=overrides)
     )
-    plain, full = (experiment.run_batch(prepared, runs, k) for k in ("diagonal", "full"))
+    plain = experiment.run_batch(prepared, range(16), "diagonal")
+    before = rows.copy()
+    full = experiment.run_batch(prepared, range(16), "full")
+    assert rows == 2 * before
+    assert (label == "ekf" and bool(overrides)) == any(0 < n < 16 for n in rows)
     for name, value in plain.records[label].items():
         if name != "cpu_time":
             np.testing.assert_array_equal(value, full.records[label][name])
