@@ -98,6 +98,11 @@ def solve_lower_transposed(lower: Array, b: Array) -> Array:
     return x
 
 
+def weighted(weights: Array, points: Array) -> Array:
+    """Σ wᵢ pᵢ `(..., k)` for weights `(point,)` or `(..., point)` and points `(..., point, k)`."""
+    return weights @ points if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]
+
+
 def quadratic_form(cov: Array, v: Array) -> Array:
     """vᵀ P⁻¹ v `(run,)` for P `(run, n, n)`, v `(run, n)`; NaN where P has no Cholesky factor."""
     white = solve_lower(cholesky(cov), v[..., None])[..., 0]

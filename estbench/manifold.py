@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estbench import rotation
 from estbench.errors import DimensionError
+from estbench.linalg import weighted
 
 Array = NDArray[np.float64]
 
@@ -105,22 +106,14 @@ class Manifold:
             out[..., to] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
         return out
 
-    def mean(self, points: Array, weights: Array, iterations: int = 20) -> Array:
+    def mean(self, points: Array, weights: Array) -> Array:
         """Weighted mean `(..., nx)` of points `(..., point, nx)`: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
 
-        On a curved space by Gauss-Newton from the first point (Hertzberg et al. 2013, eq. 21); it
-        stops when every correction is below 1e-13.
+        Weights `(point,)` or `(..., point)`. See `rotation.mean` for the quaternions.
         """
-        if self.flat:
-            return _weighted(weights, points)
-        mean = points[..., 0, :]
-        for _ in range(iterations):
-            delta = _weighted(weights, self.minus(points, mean[..., None, :]))
-            settled = (np.abs(delta) <= 1e-13).all(axis=-1, keepdims=True)
-            if settled.all():
-                break
-            # A settled row stays as it is, so that no row's mean depends on its neighbours.
-            mean = np.where(settled, mean, self.plus(mean, delta))
+        mean = weighted(weights, points)
+        for at, _ in self._turns:
+            mean[..., at] = rotation.mean(points[..., at], weights)
         return mean
 
     def reset_jacobian(self, delta: Array) -> Array:
@@ -173,8 +166,3 @@ def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Arr
         block = slice(start, start + 3)
         turn[..., block, block] -= rotation.skew(shift[..., block]) @ jacobian[..., block, block]
     return turn @ H, jacobian @ C
-
-
-def _weighted(weights: Array, points: Array) -> Array:
-    """Σ wᵢ pᵢ `(..., k)` for weights `(point,)` or `(..., point)` and points `(..., point, k)`."""
-    return weights @ points if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]

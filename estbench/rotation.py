@@ -7,6 +7,8 @@ Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter" (201
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.linalg import weighted
+
 Array = NDArray[np.float64]
 
 
@@ -62,6 +64,24 @@ def log(q: Array) -> Array:
         small, 2.0 / np.where(small, cosine, 1.0), 2.0 * np.arctan2(sine, cosine) / safe
     )
     return factor * q[..., 1:]
+
+
+def mean(q: Array, weights: Array, iterations: int = 20) -> Array:
+    """Weighted mean m `(..., 4)` of unit quaternions `(..., point, 4)`: Σ wᵢ log(m⁻¹ ⊗ qᵢ) = 0.
+
+    By Gauss-Newton from the first (Hertzberg et al. 2013, eq. 21), until every correction is below
+    1e-13 rad.
+    """
+    q = normalize(q)
+    mean = q[..., 0, :]
+    for _ in range(iterations):
+        delta = weighted(weights, log(multiply(conjugate(mean)[..., None, :], q)))
+        settled = (np.abs(delta) <= 1e-13).all(axis=-1, keepdims=True)
+        if (settled | np.isnan(mean[..., :1])).all():
+            break
+        # A settled row stays as it is, so that no row's mean depends on its neighbours.
+        mean = np.where(settled, mean, normalize(multiply(mean, exp(delta))))
+    return mean
 
 
 def skew(v: Array) -> Array:
