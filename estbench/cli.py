@@ -64,8 +64,9 @@ def run(
         ),
     ] = "auto",
     dtype: Annotated[
-        Literal["float64", "float32"], typer.Option(help="of the stored traces")
-    ] = "float64",
+        Literal["float64", "float32"] | None,
+        typer.Option(help="of the stored traces; default float64"),
+    ] = None,
     resume: Annotated[bool, typer.Option(help="go on with --out: compute what is missing")] = False,
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
@@ -91,6 +92,7 @@ def run(
         results = experiment.run(
             resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=_shard(shard),
             executor=executor, address=address, workers=workers, progress=progress,
+            say=lambda line: print(f"note: {line}", file=sys.stderr, flush=True),
         )  # fmt: skip
     if as_json:
         print(results.to_json())

@@ -18,6 +18,8 @@ __all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
 
 Progress = Callable[[int, int], None]
 """Called with the runs done and the runs in all."""
+Say = Callable[[str], None]
+"""Called with a line that is better read before the runs are computed than after."""
 
 
 def run(
@@ -30,7 +32,7 @@ def run(
     overrides: Sequence[str] = (),
     out: str | Path | None = None,
     keep: Literal["auto", "summary", "diagonal", "full"] = "auto",
-    dtype: Literal["float64", "float32"] = "float64",
+    dtype: Literal["float64", "float32"] | None = None,
     resume: bool = False,
     shard: tuple[int, int] | None = None,
     executor: Literal["auto", "threads", "processes", "dask"] = "threads",
@@ -38,6 +40,7 @@ def run(
     workers: int | None = None,
     batch_size: int | None = None,
     progress: Progress | None = None,
+    say: Say | None = None,
 ) -> Results:
     """Simulate, observe, estimate, compare.
 
@@ -51,7 +54,7 @@ def run(
         out: folder to write the results to; None writes nothing.
         keep: what the store keeps of every run; `auto` is `diagonal` while the traces of all runs
             take at most 1 GiB (`batches.TRACES_BYTES`), else `summary`, which is said.
-        dtype: of the stored traces.
+        dtype: of the stored traces; default `float64`, or that of the store to go on with.
         resume: go on with `out` if it exists: only what is missing is computed.
         shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
         executor: `threads`, `processes` (spawned, so that a script needs its
@@ -61,6 +64,7 @@ def run(
             goes.
         batch_size: runs a batch; default by memory. It does not change the results.
         progress: called after every batch.
+        say: called with a notice of a store that was begun under other versions.
 
     Returns:
         The results; `print` shows the tables. After Ctrl-C those of the finished runs.
@@ -75,7 +79,7 @@ def run(
             raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
     for name, value, known in (
         ("keep", keep, ("auto", "summary", "diagonal", "full")),
-        ("dtype", dtype, ("float64", "float32")),
+        ("dtype", dtype or "float64", ("float64", "float32")),
     ):
         if value not in known:
             raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
@@ -83,7 +87,7 @@ def run(
         raise StoreError("resume and shard need a folder to go on with; name it with --out")
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
     prepared = setup.build(resolved)
-    level, notices = _level(prepared, keep, dtype, out is not None)
+    level, notices = _level(prepared, keep, dtype or "float64", out is not None)
     size = batch_size or default_batch_size(prepared, level)
     using = _pool(prepared, executor, address, workers, size * one.run_bytes(prepared, level))
     if out is None:
@@ -91,16 +95,20 @@ def run(
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
         done, failed, interrupted = _compute(prepared, batches, level, using, None, {}, progress)
         return _collect(prepared, batches, done, failed, None, interrupted)
-    target = _open(Path(out), prepared, level, size, dtype, resume, shard)
-    if keep not in ("auto", target.keep):
-        raise StoreError(
-            f"{out} is of another experiment: keep was {target.keep!r} and is {keep!r}; "
-            "choose another --out"
-        )
+    target = _open(Path(out), prepared, level, size, dtype or "float64", resume, shard)
+    for name, was, value in (("keep", target.keep, keep), ("dtype", target.dtype, dtype)):
+        if value not in ("auto", None, was):
+            raise StoreError(
+                f"{out} is of another experiment: {name} was {was!r} and is {value!r}; "
+                "choose another --out"
+            )
     with target.lock(shard):
         done, corrupted = _finished(target)
         indices = range(len(target.batches)) if shard is None else _share(target, shard)
         wanted = {i: target.batches[i] for i in indices if i not in done}
+        mixed = target.sign(writing=bool(wanted))
+        if mixed and wanted and say is not None:
+            say(mixed)
         try:
             done, failed, interrupted = _compute(
                 prepared, wanted, target.keep, using, target, done, progress
@@ -117,6 +125,7 @@ def run(
         prepared, target.batches, done, failed, target, interrupted,
         [
             *(notices if target.keep == level else ()),
+            *([mixed] if mixed else ()),
             *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
         ],
     )  # fmt: skip

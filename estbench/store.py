@@ -9,7 +9,6 @@ marked done and lacks one, as after a power cut, is known to be damaged.
 
 import contextlib
 import errno
-import fcntl
 import json
 import re
 import shutil
@@ -20,12 +19,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 import zarr
 
+from estbench import locks, versions
 from estbench.errors import StoreError
 from estbench.records import COST, SUMMARY, TRUTH, Field, Record, fields
 from estbench.scenario import changes
@@ -48,16 +48,21 @@ class Store:
 
     Attributes:
         folder: where it is.
+        keep: what it keeps of every run.
+        dtype: of its traces.
         batches: the runs of each batch.
     """
 
-    def __init__(self, folder: Path, keep: str, batches: Sequence[range], live: bool = False):
+    def __init__(
+        self, folder: Path, keep: str, dtype: str, batches: Sequence[range], live: bool = False
+    ):
         self.folder = folder
         self._live = live
         self.batches = list(batches)
-        self._keep = keep
+        self.keep = keep
+        self.dtype = dtype
         self._made: list[Path] | None = None
-        self._root = zarr.open_group(str(folder / STORE), mode="r+", zarr_format=3)
+        self._root = self._open("r+")
         self._arrays: dict[str, Any] = {}
 
     @classmethod
@@ -99,7 +104,7 @@ class Store:
             if isinstance(error, OSError):
                 raise _unwritable(folder, error) from None
             raise
-        new = cls(folder, keep, batches, _live(setup))
+        new = cls(folder, keep, dtype, batches, _live(setup))
         new._made = made
         return new
 
@@ -127,17 +132,12 @@ class Store:
         try:
             root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
             attrs = root.attrs.asdict()
-            size, keep = int(attrs["batch_size"]), str(attrs["keep"])  # type: ignore[arg-type]
+            size, keep, dtype = int(attrs["batch_size"]), attrs["keep"], attrs["dtype"]  # type: ignore[arg-type]
         except (OSError, KeyError, ValueError, json.JSONDecodeError) as error:
             raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
         count = setup.scenario.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
-        return cls(folder, keep, batches, _live(setup))
-
-    @property
-    def keep(self) -> str:
-        """What the store keeps of every run."""
-        return self._keep
+        return cls(folder, str(keep), str(dtype), batches, _live(setup))
 
     def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
         """Write one batch, and set its runs done last.
@@ -154,7 +154,10 @@ class Store:
             for group, record in {"truth": truth, **records}.items():
                 for name, value in record.items():
                     if name not in COST:
-                        self._array(f"{group}/{name}")[self._where(group, name, batch)] = value
+                        array = self._array(f"{group}/{name}")
+                        with np.errstate(over="ignore"):  # beyond float32 is infinite
+                            kept = value.astype(array.dtype, copy=False)
+                        array[self._where(group, name, batch)] = kept
             self._array("done")[runs] = True
         except OSError as error:
             raise _unwritable(self.folder, error) from None
@@ -199,27 +202,44 @@ class Store:
         return out
 
     @contextmanager
-    def lock(self, shard: tuple[int, int] | None = None) -> Iterator[None]:
-        """Hold the store: one process alone, or one process a shard; freed when a process dies.
+    def lock(self, shard: locks.Shard | None = None) -> Iterator[None]:
+        """Hold the store, alone or one share of it, without what killed writers left there.
 
         Raises:
             StoreError: another process holds it, or the file system cannot lock.
         """
-        with contextlib.ExitStack() as held:
-            names = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
-            if shard is not None:
-                names.append((f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX))
-            for name, mode in names:
-                try:
-                    file = held.enter_context((self.folder / name).open("w"))
-                    fcntl.flock(file, mode | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise StoreError(
-                        f"another process is writing to {self.folder}; wait for it, or use --shard"
-                    ) from None
-                except OSError as error:
-                    raise _unwritable(self.folder, error) from None
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locks.held(self.folder, shard))
+                locks.sweep(self.folder, self.folder / STORE, shard)
+            except BlockingIOError:
+                raise StoreError(
+                    f"another process is writing to {self.folder}; wait for it, or use --shard"
+                ) from None
+            except OSError as error:
+                raise _unwritable(self.folder, error) from None
             yield
+
+    def sign(self, writing: bool) -> str | None:
+        """What to say of a store of several versions; None where all its numbers are of one.
+
+        Args:
+            writing: whether the versions installed here are about to write to it; they are then
+                kept in the attribute `continued`, if they are others than those already known.
+
+        Raises:
+            StoreError: the store is gone, or the disk full.
+        """
+        try:
+            with locks.briefly(self.folder):
+                attrs = self._open("r+" if writing else "r").attrs
+                found, now = versions.known(attrs), versions.installed()
+                if writing and now not in found:
+                    found.append(now)
+                    attrs["continued"] = found[1:]
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
+        return versions.mixed(found)
 
     def close(self) -> None:
         """Consolidate the metadata, so that opening reads one file.
@@ -228,8 +248,8 @@ class Store:
             StoreError: the store is gone, or the disk full.
         """
         try:
-            with warnings.catch_warnings():  # zarr warns that it is not yet in the standard
-                warnings.simplefilter("ignore", UserWarning)
+            with locks.briefly(self.folder), warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # zarr: not yet in the standard
                 zarr.consolidate_metadata(str(self.folder / STORE))
         except OSError as error:
             raise _unwritable(self.folder, error) from None
@@ -238,6 +258,9 @@ class Store:
         """Remove the folder, and the parents made for it, if this object made it."""
         if self._made is not None:
             _remove(self.folder, self._made)
+
+    def _open(self, mode: Literal["r", "r+"]) -> zarr.Group:
+        return zarr.open_group(str(self.folder / STORE), mode=mode, zarr_format=3)
 
     def _array(self, path: str) -> Any:
         """An array of the store; opening one reads its metadata, so it is kept."""
@@ -252,7 +275,7 @@ class Store:
         return self.folder.joinpath(STORE, group, name, "c", str(batch), *others)
 
     def _fields(self, group: str) -> dict[str, Field]:
-        return TRUTH if group == "truth" else fields(self._keep, self._live)
+        return TRUTH if group == "truth" else fields(self.keep, self._live)
 
     def _where(self, group: str, name: str, batch: int) -> slice:
         """The rows of an array that a batch fills."""

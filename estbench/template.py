@@ -1,14 +1,13 @@
 """An empty store: every array declared, one chunk a batch, a checksum on every chunk."""
 
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 import zarr
 from zarr.codecs import Crc32cCodec
 
+from estbench import versions
 from estbench.innovations import readings
 from estbench.records import SIZES, SUMMARY, TRUTH, Field, fields
 from estbench.sections import Scenario
@@ -86,11 +85,9 @@ def declare(
 
 def provenance(scenario: Scenario) -> dict[str, Any]:
     """Versions and seed as attributes: a function of the scenario and what is installed."""
-    packages = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
     return {
         "scenario": scenario.name,
         "seed": scenario.simulation.seed,
-        "versions": {name: version(name) for name in packages}
-        | {"python": platform.python_version()},
+        "versions": versions.installed(),
         "estimators": list(scenario.estimators),
     }

@@ -71,6 +71,7 @@ def test_killed_and_resumed_the_store_is_the_uninterrupted_one(whole, tmp_path, 
     totals = set()
     run(out, resume=True, progress=lambda _, total: totals.add(total))
     assert totals == {40 - MOMENTS[moment]} - {0}
+    assert not any(out.rglob("*.partial"))
     same(out, whole.folder)
 
 

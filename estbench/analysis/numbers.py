@@ -28,7 +28,8 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
                 "runs": len(c.runs),
                 "folders": [
                     {"folder": str(s.folder), "runs": len(s.runs), "wanted": s.total,
-                     "versions": s.attrs.get("versions")}
+                     "versions": s.attrs.get("versions"),
+                     "continued": s.attrs.get("continued", [])}
                     for s in c.stores
                 ],
                 "estimators": {f.key: _estimator(f) for f in c.findings},

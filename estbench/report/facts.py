@@ -16,6 +16,7 @@ from estbench.report.sources import Entry, Source
 from estbench.report.traces import TraceStatistics
 from estbench.results import interval
 from estbench.sensors import Channel
+from estbench.versions import known
 
 DIVERGED_ROWS = 100
 """Diverged runs listed of one estimator."""
@@ -98,7 +99,10 @@ def facts(source: Source) -> Facts:
         ("control", f"{scenario.control.kind}, seeing the {scenario.control.observe}"),
         ("estimators", ", ".join(attrs["estimators"])),
         ("robot", scenario.model.path),
-        ("versions", ", ".join(f"{k} {v}" for k, v in dict(attrs.get("versions", {})).items())),
+        *(
+            ("continued with" if i else "versions", ", ".join(f"{k} {v}" for k, v in v.items()))
+            for i, v in enumerate(known(attrs))
+        ),
     ]
     sensors: tuple[tuple[str, ...], ...] = ()
     noise: tuple[tuple[str, ...], ...] = ()

@@ -13,6 +13,7 @@ from estbench.report.innovations import Correlation
 from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.report.traces import TraceStatistics
+from estbench.versions import known, mixed
 
 MARKS = {"": "", "less": " ▼", "more": " ▲"}
 NONE = 1e-4
@@ -164,6 +165,8 @@ def notices(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | Non
             out.append(
                 f"{source.title} is unfinished: {len(source.runs)} of {source.total} runs are done."
             )
+        if said := mixed(known(source.attrs)):
+            out.append(f"{source.title}: {said}.")
     bare = [e.source.title for e, t in zip(entries, statistics) if t is None]
     if bare:
         out.append(

@@ -1,0 +1,36 @@
+"""Under which versions a store was written: begun, and gone on with."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+PACKAGES = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
+NUMERICAL = ("estbench", "mujoco", "numpy", "scipy")
+"""Those on which the numbers depend."""
+
+
+def installed() -> dict[str, str]:
+    """What is installed here."""
+    return {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+
+
+def known(attrs: Mapping[str, Any]) -> list[dict[str, str]]:
+    """The versions in a store's attributes: those it was begun with, then all it went on with."""
+    return [dict(v) for v in (attrs.get("versions", {}), *attrs.get("continued", ()))]
+
+
+def mixed(versions: Sequence[Mapping[str, str]]) -> str | None:
+    """What to say of a store whose numbers are of several versions; None of any other.
+
+    Args:
+        versions: from `known`.
+    """
+    said = []
+    for name in NUMERICAL:
+        first, *others = dict.fromkeys(v[name] for v in versions if name in v) or ("",)
+        if others:
+            said.append(f"begun with {name} {first}, continued with {', '.join(others)}")
+    if not said:
+        return None
+    return f"{'; '.join(said)}: the numbers may not be those of an uninterrupted run"
