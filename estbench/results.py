@@ -1,17 +1,17 @@
 """The results of one experiment: what Python gets back, and what is printed."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rich import box
 from rich.console import Console, Group
-from rich.table import Table
 from rich.text import Text
 
+from estbench.columns import Column, Columns
 from estbench.consistency import Interval, Verdict
 from estbench.records import Record
 from estbench.sections import Scenario
@@ -20,6 +20,8 @@ from estbench.statistics import Summary
 Array = NDArray[np.float64]
 
 WIDTH = 100
+LARGE = 1e5
+"""Numbers from here on are shown by their power of ten."""
 COLOURS = {
     Verdict.CONSISTENT: "green",
     Verdict.OVERCONFIDENT: "red",
@@ -125,29 +127,21 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
-def _table() -> Table:
-    return Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-
-
 def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
-    table = _table()
-    table.add_column("estimator", overflow="fold")
-    table.add_column("verdict", no_wrap=True)
-    for heading in ("NEES/n", "median", "NIS/m", "lag-one", "diverged", "µs/run-step"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for s in summaries:
-        table.add_row(
-            s.label,
-            Text(str(s.verdict), style=COLOURS[s.verdict]),
-            interval(s.anees),
-            f"{s.anees_median:.3f}",
-            interval(s.anis),
-            interval(s.lag_one),
-            f"{s.diverged:.1%}",
-            f"{s.cost:.3g}",
-        )
+    columns = (
+        _column("estimator", (s.label for s in summaries), "left"),
+        _column(
+            "verdict", (Text(str(s.verdict), style=COLOURS[s.verdict]) for s in summaries), "left"
+        ),
+        _column("NEES/n", (interval(s.anees) for s in summaries)),
+        _column("median", (_short(s.anees_median) for s in summaries)),
+        _column("NIS/m", (interval(s.anis) for s in summaries)),
+        _column("lag-one", (interval(s.lag_one) for s in summaries)),
+        _column("diverged", (f"{s.diverged:.1%}" for s in summaries)),
+        Column("µs/run-step", tuple(f"{s.cost:.3g}" for s in summaries), narrow="µs/run\n-step"),
+    )
     return Group(
-        table,
+        Columns(columns[:1], tuple((column,) for column in columns[1:])),
         Text(
             "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
             f"filter; ± is the {level:.0%} interval across runs; cost is of one core.",
@@ -159,57 +153,26 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
 def _accuracy(
     summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...]
 ) -> Group:
-    if len(summaries) <= 3:
-        legend = "; σ is what the filter\nreports; median is that of all runs."
-        parts: list[Any] = [_errors(summaries, names, units, detailed=True)]
-    else:
-        legend = "."
-        room = (
-            WIDTH
-            - max(len("coordinate"), *map(len, names))
-            - max(len("unit"), *map(len, units))
-            - 2
-        )
-        parts = [_errors(some, names, units, detailed=False) for some in _fitting(summaries, room)]
-    text = f"RMSE over time and the runs that did not diverge{legend}"
-    return Group(*parts, Text(text, style="dim"))
-
-
-def _fitting(summaries: tuple[Summary, ...], room: int) -> list[tuple[Summary, ...]]:
-    """The estimators in groups whose columns fit beside each other."""
-    groups: list[tuple[Summary, ...]] = []
-    left = 0
+    detailed = len(summaries) <= 3
+    keys = _column("coordinate", names, "left"), _column("unit", units, "left")
+    groups = []
     for s in summaries:
-        width = max(len(s.label), len("0.000123")) + 2
-        if width > left:
-            groups.append(())
-            left = room
-        groups[-1] += (s,)
-        left -= width
-    return groups
-
-
-def _errors(
-    summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...], detailed: bool
-) -> Table:
-    table = _table()
-    table.add_column("coordinate", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    for s in summaries:
-        table.add_column(
-            f"{s.label} RMSE" if detailed else s.label, justify="right", overflow="fold"
-        )
+        heading = f"{s.label} RMSE" if detailed else s.label
+        values = tuple(f"{i.value:.3g}" for i in s.rmse)
+        group = [Column(heading, values, narrow=heading.replace(" ", "\n"))]
         if detailed:
-            table.add_column("σ", justify="right")
-            table.add_column("median", justify="right")
-    for i, (name, unit) in enumerate(zip(names, units)):
-        cells = []
-        for s in summaries:
-            cells.append(f"{s.rmse[i].value:.3g}")
-            if detailed:
-                cells += [f"{s.std[i]:.3g}", f"{s.rmse_median[i]:.3g}"]
-        table.add_row(name, unit, *cells)
-    return table
+            group.append(_column("σ", (f"{x:.3g}" for x in s.std)))
+            group.append(_column("median", (f"{x:.3g}" for x in s.rmse_median)))
+        groups.append(tuple(group))
+    more = "; σ is what the filter\nreports; median is that of all runs." if detailed else "."
+    text = f"RMSE over time and the runs that did not diverge{more}"
+    return Group(Columns(keys, tuple(groups)), Text(text, style="dim"))
+
+
+def _column(
+    heading: str, cells: Iterable[str | Text], justify: Literal["left", "right"] = "right"
+) -> Column:
+    return Column(heading, tuple(cells), justify)
 
 
 def _failures(summaries: tuple[Summary, ...], most: int = 3) -> list[str]:
@@ -235,8 +198,14 @@ def interval(i: Interval) -> str:
     half = 0.5 * (i.high - i.low)
     if not np.isfinite(half):
         return f"{i.value:.3g}"
+    if max(abs(i.value), half) >= LARGE:
+        return f"{i.value:.2e} ± {half:.1e}"
     decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 3)) if half > 0 else 3
     return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
+
+
+def _short(x: float) -> str:
+    return f"{x:.3f}" if abs(x) < LARGE else f"{x:.2e}"
 
 
 def _number(x: float) -> float | None:

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table as RichTable
-from rich.text import Text
 
+from estbench.columns import Column, Columns
 from estbench.consistency import Interval
 
 
@@ -40,7 +38,7 @@ class Table:
 
 
 def text(tables: Sequence[Table], width: int = 100) -> str:
-    """For a terminal of so many columns; a cell that does not fit goes on in the next line."""
+    """For a terminal of so many columns; columns that do not fit go on in a table below."""
     console = Console(width=width, no_color=True, force_terminal=False, highlight=False)
     with console.capture() as capture:
         for table in tables:
@@ -53,13 +51,16 @@ def text(tables: Sequence[Table], width: int = 100) -> str:
     return "\n".join(line.rstrip() for line in capture.get().splitlines()).rstrip()
 
 
-def _drawn(table: Table) -> RichTable:
-    drawn = RichTable(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    for i, heading in enumerate(table.headings):
-        drawn.add_column(Text(heading), justify=table.side(i), overflow="fold")
-    for row in table.rows:
-        drawn.add_row(*map(Text, row))
-    return drawn
+def _drawn(table: Table) -> Columns:
+    """The table in as many as fit; what its rows are called stands in each."""
+    columns = [
+        Column(heading, tuple(cells), table.side(i), heading.replace(" ", "\n"))
+        for i, (heading, *cells) in enumerate(zip(table.headings, *table.rows))
+    ]
+    keys = 1 + max(
+        i for i, c in enumerate(table.columns) if i == 0 or c.startswith("<") or c == "unit"
+    )
+    return Columns(tuple(columns[:keys]), tuple((column,) for column in columns[keys:]))
 
 
 def markdown(tables: Sequence[Table]) -> str:
