@@ -1,6 +1,6 @@
 """What a filter adds to a Gymnasium step: `python -m benchmarks.envs`.
 
-Two targets (issue 5): a wrapped InvertedPendulum-v5 with an EKF adds at most 150 microseconds a
+Two targets: a wrapped InvertedPendulum-v5 with an EKF adds at most 150 microseconds a
 step; the vector CartPole with 256 rows and an EKF does at least 60,000 environment steps a second
 on 2 cores. The floor beside each is the time of the bare `Batch` calls that the filter makes.
 """

@@ -12,7 +12,6 @@ from estbench import imperfections, random
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
 from estbench.envs.merge import select
 from estbench.manifold import Manifold
-from estbench.schedules import factor
 from estbench.sensors import Channel
 
 Array = NDArray[np.float64]
@@ -88,7 +87,7 @@ class Flawed:
 
     def __init__(self, channel: Channel, rows: int, quiet: bool = False):
         self.channel, self._rows = channel, rows
-        self._factor = np.linalg.cholesky(channel.cov) * (not quiet)
+        self._quiet = quiet
         word, part = f"sensor:{channel.name}", channel.part
         self._white = RowNoise(rows, {word: channel.space.n})
         normals: dict[str, int] = {} if part is None else part.normals(channel.space.n)
@@ -123,9 +122,12 @@ class Flawed:
     ) -> tuple[Array, Mask | None]:
         """As `Source.read`."""
         channel = self.channel
-        noise = (self._factor @ self._white.draw(due)[..., None])[..., 0]
-        if channel.schedule is not None:
-            noise *= np.array([[factor(channel.schedule, float(t))] for t in time])
+        white = self._white.draw(due) * (not self._quiet)
+        # A row has its own time; without a schedule it does not matter.
+        times = np.zeros_like(time) if channel.schedule is None else time
+        noise = np.empty_like(white)
+        for t in np.unique(times):
+            noise[times == t] = channel.coloured(white[times == t], float(t))
         if channel.part is None or self._state is None:
             return channel.space.plus(clean, noise), None
         draws: imperfections.Draws = {}

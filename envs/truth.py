@@ -77,11 +77,12 @@ class TruthRows:
         if noise.rank:
             white = self._noise.draw(mask)
             scale = np.sqrt(dt) if noise.kind == "additive" else 1 / np.sqrt(dt)
-            if noise.schedule is not None:
-                factors = [[noise.at(float(now))] for now in t[:, 0]]
-                scale = scale * np.sqrt(np.array(factors))
+            root = noise.factor
+            if noise.schedule is not None:  # a row has its own time, most have the same
+                times, which = np.unique(t[:, 0], return_inverse=True)
+                root = np.stack([noise.root(float(now)) for now in times])[which]
             # A stack of small products, as above.
-            w = scale * (noise.factor @ white[..., None])[..., 0]
+            w = scale * (root @ white[..., None])[..., 0]
             if noise.kind == "force":
                 force = w
             elif noise.kind == "actuator":

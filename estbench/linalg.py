@@ -118,6 +118,27 @@ def psd_factor(a: Array) -> Array:
     return vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
+def rescaled(a: Array, value: float | Array) -> Array:
+    """A covariance A `(n, n)` by what it is to be times: D A D, or the value itself if a matrix.
+
+    Args:
+        a: the covariance.
+        value: D, one number or one a coordinate `(n,)`; or what is in the place of A `(n, n)`.
+    """
+    if np.ndim(value) == 2:
+        return np.asarray(value)
+    size = np.broadcast_to(value, a.shape[:1])
+    return a * np.outer(size, size)
+
+
+def is_positive_semidefinite(a: Array) -> bool:
+    """Whether one matrix `(n, n)` is symmetric without negative eigenvalues, but for rounding."""
+    if not (np.isfinite(a).all() and np.allclose(a, a.T)):
+        return False
+    smallest = np.linalg.eigvalsh(a).min(initial=0.0)
+    return bool(smallest >= -1e-12 * max(1.0, np.abs(a).max(initial=0.0)))
+
+
 def is_positive_definite(a: Array) -> bool:
     """Whether one symmetric matrix `(n, n)` has a Cholesky factor."""
     return bool(np.isfinite(cholesky(a[None])).all() and np.allclose(a, a.T, rtol=1e-9, atol=0))

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench import imperfections, streams
-from estbench.schedules import factor
 from estbench.sensors import Channel
 from estbench.timing import Instant
 
@@ -55,8 +54,8 @@ class Readings:
         timing, name, m = channel.timing, channel.name, channel.space.n
         due = timing.due(last)
         self._due = np.searchsorted(ticks, due)
-        self._times = due * timing.timestep
-        self._noise = channel.noise(seed, runs, len(due))
+        self._times = timing.timestep * due.astype(np.float64)
+        self._noise = channel.noise(seed, runs, self._times)
         part = channel.part
         if part is not None:
             purpose = f"sensor:{name}:"
@@ -112,19 +111,12 @@ class Readings:
         channel, part = self.channel, self.channel.part
         if part is None:
             exact = not channel.cov.any()  # ⊞ 0 would round a quaternion
-            return (clean if exact else channel.space.plus(clean, self._white(j))), None
+            return (clean if exact else channel.space.plus(clean, self._noise[j])), None
         if j != self._advanced:
             draws = {purpose: values[j] for purpose, values in self._draws.items()}
             self._state = imperfections.advance(
-                part, self._white(j), self._state, draws, float(self._times[j])
+                part, self._noise[j], self._state, draws, float(self._times[j])
             )
             self._advanced = j
         y, self._state = imperfections.respond(part, channel.space, clean, self._state, rows)
         return y, ~self._state.lost if part.dropout else None
-
-    def _white(self, j: int) -> Array:
-        """White noise of reading j `(run, m)`, as the schedule scales it."""
-        noise = self._noise[j]
-        if self.channel.schedule is None:
-            return noise
-        return noise * factor(self.channel.schedule, float(self._times[j]))

@@ -1,7 +1,6 @@
 """What the sections of a scenario stand for on its robot: noise, start, channels, defaults."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -12,7 +11,7 @@ from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_
 from estbench.manifold import Manifold
 from estbench.models import layout, mjcf
 from estbench.models.disturbance import Disturbance
-from estbench.models.mujoco import SensorChannel
+from estbench.models.mujoco import Scale, SensorChannel
 from estbench.models.reading import Source
 from estbench.naming import expand
 from estbench.sections import (
@@ -77,7 +76,7 @@ def disturbance(
     notices: list[str],
 ) -> Disturbance:
     """The true process noise."""
-    density = section.density
+    density, assumed = section.density, ""
     if density is None:
         density = DEFAULT_DENSITY
         if section.kind == "additive":
@@ -87,13 +86,15 @@ def disturbance(
             density = values.tolist()
         if section.matrix is None:
             what = {"additive": "every velocity, (unit)²/s", "force": "every force, (N or N m)² s"}
-            where = what.get(section.kind, "every control, (unit)² s")
-            notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {where}")
+            assumed = what.get(section.kind, "every control, (unit)² s")
     disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
-    axes, where = len(disturbance.density), "process_noise.schedule"
-    schedule = schedules.build(section.schedule, axes, duration, where)
+    axes, where = len(disturbance.density), "process_noise"
+    schedule = schedules.build(section.schedule, axes, duration, f"{where}.schedule", "Q_s")
+    notices += schedules.unused(schedule, section, ("density", "matrix"), where)
     if schedule is not None:
-        disturbance = replace(disturbance, schedule=schedule.at)
+        disturbance = disturbance.scheduled(schedule.at)
+    if assumed and schedules.whole(schedule) is None:
+        notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {assumed}")
     if not disturbance.rank:
         notices.append("process noise is zero: an estimator's gain will vanish with time")
     return disturbance
@@ -149,7 +150,7 @@ def initial(
 
 
 def believed_channels(
-    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection
+    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection, duration: float
 ) -> tuple[SensorChannel, ...]:
     """The channels as the filter believes them, their sensors found by name in its model."""
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
@@ -160,9 +161,7 @@ def believed_channels(
     out = []
     for channel in channels:
         belief = section.channels.get(channel.name, BelievedChannelSection())
-        R = section.measurement_noise_scale * sensors.believed_covariance(channel, belief)
-        follow = channel.schedule is not None and belief.follow_schedule
-        scale = channel.schedule.at if channel.schedule is not None and follow else None
+        R, scale = _believed_noise(channel, belief, section.measurement_noise_scale, duration)
         source = channel.source
         if not source.function:
             missing = [name for name in channel.sensors if name not in names]
@@ -174,6 +173,24 @@ def believed_channels(
             source = Source.of_sensors(model, *indices, axes=source.axes)
         out.append(SensorChannel(channel.name, -1, R, scale, source))
     return tuple(out)
+
+
+def _believed_noise(
+    channel: Channel, belief: BelievedChannelSection, scale: float, duration: float
+) -> tuple[Array, Scale | None]:
+    """R `(m, m)` of a channel as the filter believes it, and what becomes of it over time."""
+    where = f"filter.channels.{channel.name}"
+    own = schedules.build(belief.schedule, channel.space.n, duration, f"{where}.schedule")
+    if own is None and belief.follow_schedule:
+        own = channel.schedule
+    R = schedules.whole(own)
+    if R is not None and (belief.noise is not None or belief.cov is not None):
+        raise ScenarioError(
+            f"{where} has a constant R of its own, and follows a schedule of whole covariances; "
+            "give one of them (follow_schedule = false, or a schedule of factors)"
+        )
+    R = scale * (sensors.believed_covariance(channel, belief) if R is None else R)
+    return R, None if own is None else schedules.Scaled(own, scale).at
 
 
 def native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Native]:

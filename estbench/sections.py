@@ -14,7 +14,8 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, lt=1)]
 Schedule = Annotated[list[tuple[Positive, Positive]], Field(min_length=1)] | str
-"""Rows (until s, factor): the factor holds up to that time; or `module:function`, t -> factor."""
+"""Rows (until s, factor): the factor holds up to that time; or `module:function`: t -> one factor,
+one an axis, or the whole covariance."""
 
 
 class Section(BaseModel):
@@ -63,7 +64,10 @@ class BelievedChannelSection(Section):
     timestamps: Literal["taken", "due"] = Field(
         "taken", description="of readings with jitter: when they were taken, or were to be"
     )
-    follow_schedule: bool = Field(True, description="whether the filter knows the noise schedule")
+    schedule: Schedule | None = Field(
+        None, description="of the noise, in place of the true one; as `ChannelSection.schedule`"
+    )
+    follow_schedule: bool = Field(True, description="whether the filter knows the true schedule")
 
 
 class FilterSection(Section):
@@ -127,7 +131,7 @@ class ProcessNoiseSection(Section):
     )
     matrix: list[list[float]] | None = Field(None, description="full Q_s in place of density")
     schedule: Schedule | None = Field(
-        None, description="rows (until s, factor on Q_s), or function"
+        None, description="rows (until s, factor on Q_s), or function: factor(s), or full Q_s"
     )
 
 
@@ -159,7 +163,7 @@ class ChannelSection(Section):
     )
     cov: list[list[float]] | None = Field(None, description="full R in place of noise")
     schedule: Schedule | None = Field(
-        None, description="rows (until s, factor on the std), or function"
+        None, description="rows (until s, factor on the std), or function: factor(s), or full R"
     )
     bias: PerAxis = Field(0.0, description="std of a constant drawn once a run")
     bias_walk: PerAxis = Field(0.0, description="random walk, unit/√s")

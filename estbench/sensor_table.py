@@ -111,7 +111,9 @@ def _believed(setup: Setup) -> Iterator[str]:
             said.append(f"latency {1e3 * belief.latency:.3g} ms")
         if belief.timestamps == "due" and channel.timing.jitter:
             said.append("no jitter")
-        if channel.schedule is not None and not belief.follow_schedule:
+        if belief.schedule is not None:
+            said.append("a schedule of its own")
+        elif channel.schedule is not None and not belief.follow_schedule:
             said.append("no schedule")
         if said:
             yield f"the filter believes of {channel.name}: {', '.join(said)}"

@@ -31,11 +31,11 @@ class Channel:
         source: its noise-free reading.
         sensors: names of the MuJoCo sensors it reads; none for a function.
         kind: type of the sensor(s), or `function`.
-        cov: R `(m, m)`.
+        cov: R `(m, m)`; where a schedule gives R itself, that of t = 0.
         columns: where the reading stands in sensordata; none for a function.
         timing: rate, phase, jitter, latency.
         part: biases, quantization, faults, ...; None for white noise only.
-        schedule: factor on the noise's std over time, or None.
+        schedule: factor on the noise's std, or R itself, over time; or None.
     """
 
     name: str
@@ -78,11 +78,25 @@ class Channel:
         factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
         return factor.astype(np.float64)
 
-    def noise(self, seed: int, runs: Sequence[int], count: int) -> Array:
-        """White v ~ N(0, R) `(count, run, m)` of the run's first `count` readings."""
-        white = streams.normals(seed, runs, f"sensor:{self.name}", count, self.space.n)
+    def noise(self, seed: int, runs: Sequence[int], times: Array) -> Array:
+        """White v ~ N(0, R) `(len(times), run, m)` of readings that are due at these times, s."""
+        white = streams.normals(seed, runs, f"sensor:{self.name}", len(times), self.space.n)
+        if self.schedule is None:
+            return self.coloured(white, 0.0)
+        return np.stack([self.coloured(w, float(t)) for w, t in zip(white, times)])
+
+    def coloured(self, white: Array, t: float) -> Array:
+        """Noise ~ N(0, R) `(..., m)` of readings due at t, s, from standard normals `(..., m)`."""
+        factor, size = self.factor, None
+        if self.schedule is not None:
+            value = self.schedule.at(t)
+            if np.ndim(value) == 2:
+                factor = np.linalg.cholesky(value)
+            else:
+                size = value
         # A stack of small products: one large product could round by the count of rows.
-        return (self.factor @ white[..., None])[..., 0]
+        v = (factor @ white[..., None])[..., 0]
+        return v if size is None else v * size
 
 
 def build(
@@ -125,7 +139,14 @@ def build(
         belief = (believed or {}).get(name, BelievedChannelSection())
         exact = belief.noise is not None or belief.cov is not None
         std = _per_axis(model, source, model.sensor_noise)
-        cov, assumed = datasheet.covariance(section, where, source.space, std, rate, exact)
+        schedule = schedules.build(
+            section.schedule, source.space.n, duration, f"{where}.schedule"
+        )  # fmt: skip
+        constants = "noise", "noise_density", "cov"
+        notices += schedules.unused(schedule, section, constants, where)
+        cov, assumed = schedules.whole(schedule), np.zeros(source.space.n)
+        if cov is None:
+            cov, assumed = datasheet.covariance(section, where, source.space, std, rate, exact)
         if assumed.any():
             guess = dict.fromkeys(
                 f"{s:g} {unit}" for s, unit in zip(assumed, source.space.units) if s
@@ -133,9 +154,6 @@ def build(
             notices.append(f"{name}: no noise given; assuming {', '.join(guess)}")
         cutoff = _per_axis(model, source, native_cutoff(model), np.inf)
         part = datasheet.imperfections(section, where, source.space, cutoff)
-        schedule = schedules.build(
-            section.schedule, source.space.n, duration, f"{where}.schedule"
-        )  # fmt: skip
         read = tuple(names[i] for i in source.sensors)
         columns = source.columns(model)
         channels.append(Channel(name, source, read, kind, cov, columns, timing, part, schedule))

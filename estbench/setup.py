@@ -223,7 +223,7 @@ def build(scenario: Scenario) -> Setup:
         scenario=scenario,
         plant=controllers.Plant(truth, space, x0, u0, section.frame_skip),
         filter_model=believed,
-        filter_channels=resolution.believed_channels(believed, channels, belief),
+        filter_channels=resolution.believed_channels(believed, channels, belief, duration),
         channels=tuple(channels),
         instants=tuple(instants),
         disturbance=disturbance,

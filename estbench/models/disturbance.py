@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.linalg import psd_factor
+from estbench.linalg import is_positive_semidefinite, psd_factor, rescaled
 from estbench.manifold import Manifold
 from estbench.models.layout import actuator_names
 from estbench.models.rows import Rows
@@ -38,14 +38,17 @@ class Disturbance:
         kind: where it enters.
         density: Q_s `(k, k)`, k = n, nv or nu by kind.
         factor: a square root of Q_s with only its nonzero columns `(k, rank)`.
-        schedule: factor on Q_s over time (one, or one a coordinate `(k,)`: Q_s then is D Q_s D
-            with D² the factors), taken at an interval's start; None for a constant.
+        schedule: over time, taken at an interval's start, a factor on Q_s (one, or one a coordinate
+            `(k,)`: Q_s then is D Q_s D with D² the factors) or Q_s itself `(k, k)`; None for a
+            constant.
+        scale: what Q_s is multiplied by where the schedule gives Q_s itself.
     """
 
     kind: Kind
     density: Array
     factor: Array
     schedule: Callable[[float], float | Array] | None = None
+    scale: float = 1.0
 
     @classmethod
     def build(
@@ -82,8 +85,7 @@ class Disturbance:
                     f"process_noise.matrix has shape {Q.shape}; expected "
                     f"{(len(names), len(names))} for kind '{kind}' ({', '.join(names)})"
                 )
-            smallest = np.linalg.eigvalsh(Q).min() if np.isfinite(Q).all() else np.nan
-            if not np.allclose(Q, Q.T) or not smallest >= -1e-12 * max(1.0, np.abs(Q).max()):
+            if not is_positive_semidefinite(Q):
                 raise CovarianceError("process_noise.matrix is not symmetric positive semidefinite")
         factor = psd_factor(Q)
         return cls(kind, Q, factor[:, np.abs(factor).max(axis=0, initial=0.0) > 0])
@@ -95,23 +97,43 @@ class Disturbance:
 
     def scaled(self, scale: float) -> "Disturbance":
         """The disturbance with Q_s times `scale`."""
-        return replace(self, density=scale * self.density, factor=np.sqrt(scale) * self.factor)
+        return replace(
+            self,
+            density=scale * self.density,
+            factor=np.sqrt(scale) * self.factor,
+            scale=scale * self.scale,
+        )
 
-    def at(self, t: float) -> float | Array:
-        """The schedule's factor on Q_s at t."""
-        return 1.0 if self.schedule is None else self.schedule(t)
+    def scheduled(self, schedule: Callable[[float], float | Array]) -> "Disturbance":
+        """The disturbance over time; that of t = 0 takes the constant's place if it is a matrix."""
+        first = schedule(0.0)
+        if np.ndim(first) < 2:
+            return replace(self, schedule=schedule)
+        density = np.asarray(first)  # of full rank: a coordinate may come to life later
+        return replace(self, density=density, factor=psd_factor(density), schedule=schedule)
+
+    def root(self, t: float) -> Array:
+        """A square root of Q_s at t `(k, rank)`."""
+        if self.schedule is None:
+            return self.factor
+        value = np.asarray(self.schedule(t))
+        if value.ndim == 2:
+            return np.sqrt(self.scale) * psd_factor(value)
+        return np.sqrt(value)[..., None] * self.factor
 
     def _density(self, t: float) -> Array:
         """Q_s at t."""
         if self.schedule is None:
             return self.density
-        size = np.sqrt(self.at(t))
-        return self.density * np.outer(size, size) if np.ndim(size) else self.density * size**2
+        value = np.asarray(self.schedule(t))
+        if value.ndim == 2:
+            return self.scale * value
+        return rescaled(self.density, np.sqrt(value))
 
     def sample(self, white: Array, t: float, dt: float) -> Array:
         """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
-        size = np.sqrt(self.at(t) * dt) if self.kind == "additive" else np.sqrt(self.at(t) / dt)
-        return white @ self.factor.T * size
+        size = np.sqrt(dt) if self.kind == "additive" else np.sqrt(1.0 / dt)
+        return white @ self.root(t).T * size
 
     def covariance(
         self, rows: Rows, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
@@ -121,7 +143,7 @@ class Disturbance:
             return self._density(t) * dt
         if not self.rank:
             return np.zeros((space.n, space.n))
-        points, push, force = self._pushed(x, u, np.sqrt(self.at(t) / dt))
+        points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(1.0 / dt))
         ends = rows.step(points, push, t, nstep, force)
         response = space.minus(ends[:, 1:], ends[:, :1])
         return response.mT @ response
@@ -137,14 +159,14 @@ class Disturbance:
         if not self.rank:
             return np.zeros((space.n, space.n))
         held = 1.0 / rows.model.opt.timestep
-        points, push, force = self._pushed(x, u, np.sqrt(self.at(t) * held))
+        points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(held))
         rates = rows.flow(points, push, t, force)
         response = (rates[:, 1:] - rates[:, :1]) / np.sqrt(held)
         return response.mT @ response
 
-    def _pushed(self, x: Array, u: Array, size: float | Array) -> tuple[Array, Array, Array | None]:
-        """States, controls and forces of rows without and with each column of the factor."""
-        columns = np.concatenate([np.zeros((1, len(self.factor))), self.factor.T * size])
+    def _pushed(self, x: Array, u: Array, root: Array) -> tuple[Array, Array, Array | None]:
+        """States, controls and forces of rows without and with each column of a root of Q_s."""
+        columns = np.concatenate([np.zeros((1, len(root))), root.T])
         points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
         if self.kind == "force":
             return points, u, columns

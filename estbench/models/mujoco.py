@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
+from estbench.linalg import rescaled
 from estbench.manifold import Manifold
 from estbench.models import layout, mjcf
 from estbench.models.base import Channels
@@ -30,7 +31,8 @@ class SensorChannel:
         name: the channel's name.
         index: the MuJoCo sensor; any number where `source` is given.
         cov: R `(m, m)` in the tangent of the reading.
-        scale: factor on the noise's std over time (one, or one an axis), None for a constant.
+        scale: over time, a factor on the noise's std (one, or one an axis) or R itself `(m, m)`;
+            None for a constant.
         source: what it reads, where that is not one sensor.
     """
 
@@ -155,8 +157,7 @@ class MujocoModel:
             return chosen.R
         R = chosen.R.copy()
         for block, scale in chosen.scales:
-            factor = np.broadcast_to(scale(t), (block.stop - block.start,))
-            R[block, block] *= np.outer(factor, factor)
+            R[block, block] = rescaled(R[block, block], scale(t))
         return R
 
     def steps(self, dt: float) -> int:
