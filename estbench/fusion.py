@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estbench.estimators.base import Estimator, Measurement, Passage
 from estbench.inbox import Inbox
-from estbench.innovations import Innovations
+from estbench.innovations import Innovations, check
 from estbench.partial import ALL, Rows, put, some, take, within
 from estbench.readings import Delivery
 from estbench.timing import Instant
@@ -72,6 +72,7 @@ class Fusion:
         self._memory = delays.window > 0 and delays.handling == "exact"
         self._priors: dict[int, Any] = {}
         self._controls: dict[int, Array] = {}
+        self._checked: set[tuple[str, ...]] = set()
         self.late = np.zeros(innovations.runs, np.int64)
 
     def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
@@ -139,9 +140,12 @@ class Fusion:
             y = joint.y[runs]
             if not len(y):
                 continue
-            part, innovation = self._estimator.update(
+            answer = self._estimator.update(
                 take(belief, came), y, u[runs], self._instants[k].end, joint.channels, **masked
             )
+            if joint.channels not in self._checked:
+                self._check(answer, joint.channels, len(y))
+            part, innovation = answer
             belief = put(belief, came, part)
             self._innovations.put(k, layer, joint.channels, innovation, masked.get("mask"), runs)
         if self._past is not None:  # a replay writes over what it changes
@@ -150,6 +154,14 @@ class Fusion:
                 Measurement(joint.y, u, joint.channels, joint.mask) for joint in joints
             ]
         return belief
+
+    def _check(self, answer: Any, channels: tuple[str, ...], runs: int) -> None:
+        """Check the first updates by these channels, up to one that fuses: a start only gathers."""
+        m = sum(self._inbox.spaces[name].n for name in channels)
+        started = getattr(self._estimator, "estimator", self._estimator)  # by its own name
+        check(type(started).__name__, answer, runs, m)
+        if np.any(answer[1].dof):
+            self._checked.add(channels)
 
     def _forget(self, k: int) -> None:
         """Drop what no reading can reach any more."""

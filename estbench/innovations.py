@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators.base import Innovation
 from estbench.lags import Lags
 from estbench.manifold import Manifold
@@ -22,6 +23,37 @@ def readings(spaces: Mapping[str, Manifold]) -> tuple[str, ...]:
         for channel, space in spaces.items()
         for name in space.names
     )
+
+
+def check(estimator: str, answer: Any, runs: int, m: int) -> None:
+    """Refuse an answer of `update` that could not be recorded, or would be recorded as nonsense.
+
+    Args:
+        estimator: its name.
+        answer: what `update` returned for `runs` runs of m components.
+        runs: how many.
+        m: components of the joint measurement's tangent.
+
+    Raises:
+        EstimatorError: it is no pair of a belief and an innovation.
+        DimensionError: nis or dof is not `(run,)`, or white or residual `(run, m)`, or cov
+            `(run, m, m)`; these three may be empty, and dof one number for all runs.
+    """
+    pair = isinstance(answer, tuple | list) and len(answer) == 2
+    if not pair or any(not hasattr(answer[1], name) for name in ("nis", "dof", "white")):
+        kinds = ", ".join(type(part).__name__ for part in answer) if pair else type(answer).__name__
+        raise EstimatorError(
+            f"{estimator}: update returned {kinds}; return a pair, the belief and an Innovation"
+        )
+    shapes = {"nis": (runs,), "dof": (runs,), "white": (runs, m), "residual": (runs, m)}
+    for name, expected in (shapes | {"cov": (runs, m, m)}).items():
+        found = np.shape(getattr(answer[1], name, ()))
+        none = name not in ("nis", "dof") and (0 in found or not hasattr(answer[1], name))
+        if found != expected and not none and (name, found) != ("dof", ()):
+            raise DimensionError(
+                f"{estimator}: update returned an Innovation whose {name} has shape {found}; "
+                f"expected {expected}"
+            )
 
 
 class Innovations:
@@ -84,7 +116,7 @@ class Innovations:
             m = np.shape(innovation.white)[-1]
             came = None if mask is None else np.broadcast_to(mask, (len(mask), m))
             self._lags.put(k, layer, channels, innovation.white, came, rows)
-        if self._kept and np.size(innovation.residual):
+        if self._kept and np.size(getattr(innovation, "residual", ())):
             self._keep(k, channels, innovation, mask, rows)
 
     def _keep(

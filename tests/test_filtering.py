@@ -1,4 +1,5 @@
 import copy
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from estbench.estimators.base import Fault, GaussianEstimator
 from estbench.estimators.ekf import EKF
 from estbench.filtering import Live, Recorded, run_filter
 from estbench.models.rows import engine
+from estbench.starting import WarmStart
 from estbench.truth import Trajectory
 from tests.helpers import simulated
 
@@ -267,6 +269,62 @@ class Raises(Plain):
 def test_an_estimator_that_raises_is_named():
     with pytest.raises(EstimatorError, match=r"Raises raised ZeroDivisionError: gain"):
         estbench.run("cartpole", [f"{__name__}:Raises"], runs=2, duration=0.1)
+
+
+def test_an_update_without_an_innovation():
+    class Bare(EKF):
+        def update(self, *arguments, **options):
+            return super().update(*arguments, **options)[0]
+
+    class Pair(Plain):
+        def update(self, *arguments, **options):
+            return super().update(*arguments, **options)[0]
+
+    for one, kinds in ((Bare, "Gaussian"), (Pair, "ndarray, ndarray")):
+        message = f"{one.__name__}: update returned {kinds}; return a pair, the belief and an Inno"
+        with pytest.raises(EstimatorError, match=message):
+            run(one(recorded()[0].model()), *recorded())
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "found", "expected"),
+    [
+        ("nis", 0.0, r"\(\)", r"\(6,\)"),
+        ("dof", np.ones((6, 1), int), r"\(6, 1\)", r"\(6,\)"),
+        ("white", np.ones((6, 3)), r"\(6, 3\)", r"\(6, 2\)"),
+        ("residual", np.ones(6), r"\(6,\)", r"\(6, 2\)"),
+        ("cov", np.eye(3), r"\(3, 3\)", r"\(6, 2, 2\)"),
+    ],
+)
+@pytest.mark.parametrize("started", [False, True])
+def test_an_innovation_of_the_wrong_shape(field, value, found, expected, started):
+    class Malformed(EKF):
+        def update(self, *arguments, **options):
+            belief, innovation = super().update(*arguments, **options)
+            return belief, replace(innovation, **{field: value})
+
+    prepared, trajectory = recorded()
+    estimator = Malformed(prepared.model())
+    if started:  # the readings that a start gathers are no check of the updates that follow
+        estimator = WarmStart(estimator, prepared.model(), 0.1, "batch")
+    message = (
+        f"^Malformed: update returned an Innovation whose {field} has shape {found}; "
+        f"expected {expected}"
+    )
+    with pytest.raises(DimensionError, match=message):
+        run(estimator, prepared, trajectory)
+
+
+def test_an_innovation_may_have_no_residual():
+    class Silent(EKF):
+        def update(self, *arguments, **options):
+            belief, innovation = super().update(*arguments, **options)
+            nothing = np.empty((len(innovation.nis), 0))
+            return belief, replace(innovation, residual=nothing, cov=nothing, white=nothing)
+
+    traces = run(Silent(recorded()[0].model()), *recorded(), keep_innovations=True)
+    assert traces.lag_terms.sum() == 0
+    assert np.isfinite(traces.nis).all()
 
 
 # Runs that fail
