@@ -144,15 +144,29 @@ class Smoother(Estimator, Protocol):
         ...
 
 
+def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
+    """Refuse a prior that does not fit the state's manifold, where that is known.
+
+    A covariance that is not positive semidefinite is no mistake here: its run is marked as failed.
+
+    Raises:
+        DimensionError: mean is not `(run, nx)`, or cov not `(run, n, n)`.
+    """
+    nx, n = (mean.shape[-1], cov.shape[-1]) if space is None else (space.nx, space.n)
+    if mean.shape != (len(mean), nx) or cov.shape != (len(mean), n, n):
+        raise DimensionError(
+            f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n) "
+            f"with nx = {nx} and n = {n}"
+        )
+
+
 class GaussianEstimator:
     """Shared by the estimators whose belief is a `Gaussian`: init, mean and cov."""
 
     def init(self, mean: Array, cov: Array) -> Gaussian:
         """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
-        if mean.ndim != 2 or cov.ndim != 3 or len(mean) != len(cov):
-            raise DimensionError(
-                f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n)"
-            )
+        model = getattr(self, "model", None)  # a user's own may have none
+        check_prior(None if model is None else model.space, mean, cov)
         return Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
 
     def mean(self, belief: Gaussian) -> Array:

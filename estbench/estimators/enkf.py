@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estbench import random
 from estbench.errors import DimensionError
-from estbench.estimators.base import Correction, Fault, Innovation, correct
+from estbench.estimators.base import Correction, Fault, Innovation, check_prior, correct
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.linalg import cholesky, pad_absent, solve_lower_transposed, symmetrize
 from estbench.manifold import Manifold
@@ -134,10 +134,7 @@ def draw(
     space: Manifold, mean: Array, cov: Array, size: int, keys: random.Keys | None
 ) -> tuple[Array, random.Keys, random.Keys, NDArray[np.uint8]]:
     """Points x̂ ⊞ N(0, P) `(run, size, nx)`, keys, counters and faults (P has no square root)."""
-    if mean.ndim != 2 or cov.ndim != 3 or len(mean) != len(cov):
-        raise DimensionError(
-            f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n)"
-        )
+    check_prior(space, mean, cov)
     keys = random.default_keys(len(mean)) if keys is None else np.asarray(keys, np.uint64)
     if keys.shape != (len(mean),):
         raise DimensionError(f"keys has shape {keys.shape}; expected one a run, {(len(mean),)}")

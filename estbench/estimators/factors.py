@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import DimensionError
-from estbench.estimators.base import Fault, Gaussian, Innovation, marked
+from estbench.estimators.base import Fault, Gaussian, Innovation, check_prior, marked
 from estbench.linalg import cholesky, pad_absent, solve_lower
 from estbench.manifold import Manifold
+from estbench.models.base import Model
 
 Array = NDArray[np.float64]
 
@@ -33,12 +33,11 @@ class FactorBelief:
 class FactorEstimator:
     """Shared by the square-root filters: init, mean and cov."""
 
+    model: Model
+
     def init(self, mean: Array, cov: Array) -> FactorBelief:
         """Start from mean `(run, nx)` and cov `(run, n, n)`, which may be semidefinite."""
-        if mean.ndim != 2 or cov.ndim != 3 or len(mean) != len(cov):
-            raise DimensionError(
-                f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n)"
-            )
+        check_prior(self.model.space, mean, cov)
         factor = triangular(psd_root(cov))
         return factor_belief(mean, factor, np.zeros(len(mean), np.uint8), lost(factor, cov))
 

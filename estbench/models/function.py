@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.linalg import is_positive_definite
+from estbench.linalg import is_positive_definite, is_positive_semidefinite
 from estbench.manifold import Manifold
 from estbench.models.base import Channels
 from estbench.models.differences import Differences
@@ -34,11 +34,13 @@ class FunctionModel:
         names, units: of the state's coordinates.
         noise_gain: Ω `(n, k)`, or a function of x, u, t and dt that returns ∂x⁺/∂w `(..., n, k)`;
             the process noise is then Ω Q Ωᵀ at the estimate. The identity by default.
-        n_states: n, where Ω is a function.
+        n_states: n, where Ω is a function; else it follows from Q, or Ω.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite, a function's at t = 0.
-        DimensionError: at a call, a function returns another shape than expected.
+        CovarianceError: R is not symmetric positive definite, or Q not semidefinite, a function's
+            at t = 0.
+        DimensionError: Q, R or Ω does not fit the others; at a call, a function returns another
+            shape than expected.
     """
 
     f: Function
@@ -68,6 +70,8 @@ class FunctionModel:
                 )
         if not is_positive_definite(R):
             raise CovarianceError("R is not symmetric positive definite; raise its eigenvalues")
+        if not is_positive_semidefinite(Q):
+            raise CovarianceError("Q is not symmetric positive semidefinite; raise its eigenvalues")
         gain = self.noise_gain
         if callable(gain) and self.n_states < 1:
             raise DimensionError(
@@ -79,6 +83,11 @@ class FunctionModel:
                 f"noise_gain has shape {gain.shape}; expected (n, {len(Q)}) to fit Q"
             )
         n = self.n_states or (Q if gain is None or callable(gain) else gain).shape[-2]
+        if not callable(gain) and n != (Q if gain is None else gain).shape[-2]:
+            name, matrix, k = ("Q", Q, n) if gain is None else ("noise_gain", gain, len(Q))
+            raise DimensionError(
+                f"{name} has shape {matrix.shape}; expected {(n, k)} for {n} states"
+            )
         space = Manifold.euclidean(n, self.names, self.units)
         names = tuple(f"y{i}" for i in range(len(R)))
         object.__setattr__(self, "space", space)
@@ -170,9 +179,11 @@ class FunctionModel:
             one = out.ndim == 1 and np.prod(shape) == 1  # a plain number for each state
             out = out.reshape(*lead, *(shape if one else out.shape[1:]))
         if out.shape != (*lead, *shape):
+            points = " = (run, point, n): several points of each run at once, so index x[..., i]"
             raise DimensionError(
                 f"{name} returned shape {out.shape}; expected {(*lead, *shape)} for x of shape "
-                f"{x.shape} (a function written for one state needs batched=False)"
+                f"{x.shape}{points if x.ndim == 3 else ''} (a function written for one state needs "
+                "batched=False)"
             )
         return out
 

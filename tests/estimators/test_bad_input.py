@@ -150,6 +150,15 @@ def test_a_prior_of_the_wrong_shape(name):
         registry.create(name, {}, MODEL).init(np.zeros((2, 3)), cov)
 
 
+@pytest.mark.parametrize("name", ["ekf", "ukf", "kf", "enkf", "pf", "sr_ekf", "sr_ukf"])
+@pytest.mark.parametrize(("nx", "n"), [(5, 5), (4, 3), (1, 4)])
+def test_a_prior_that_does_not_fit_the_model(name, nx, n):
+    model = linear_model(0, n=4)
+    message = rf"mean has shape \(2, {nx}\) and cov \(2, {n}, {n}\); .* nx = 4 and n = 4"
+    with pytest.raises(DimensionError, match=message):
+        registry.create(name, {}, model).init(np.zeros((2, nx)), np.tile(np.eye(n), (2, 1, 1)))
+
+
 def test_a_noise_gain_of_the_wrong_shape():
     parts = (lambda x, u, t, dt: x, lambda x, u, t: x[..., :1], np.eye(1), np.eye(1))
     with pytest.raises(DimensionError, match=r"noise_gain has shape \(2, 2\); expected \(n, 1\)"):
@@ -201,7 +210,7 @@ class Short(EKF):
         ("Lacking", "estimator '{0}:Lacking' lacks the method(s) update, mean, cov; an estimator "
                     "has init, predict, update, mean, cov"),
         ("Flat", "Flat: mean has shape (2, 2) and cov (2, 2); expected (2, 2) and (2, 2, 2)"),
-        ("Single", "Single raised TypeError: cannot unpack non-iterable Gaussian object"),
+        ("Single", "Single: update returned Gaussian; return a pair, the belief and an Innovation"),
         ("Short", "Short: smooth returned 10 beliefs; expected 11, one a time and one"),
         ("Missing", "estimator '{0}:Missing': module {0} has no 'Missing'"),
     ],

@@ -107,6 +107,20 @@ def test_a_function_for_one_state_says_how_to_declare_it():
         model.transition(np.zeros((3, 2)), np.zeros((3, 0)))
 
 
+def test_a_function_asked_for_points_is_told_what_they_are():
+    model = scalar_model(f=lambda x, u, t, dt: x[..., 0], Q=np.eye(1), R=np.eye(1))
+    with pytest.raises(DimensionError, match=r"x of shape \(4, 3, 1\) = \(run, point, n\): sev"):
+        model.transition_jacobian(np.zeros((4, 1)), np.zeros((4, 0)))
+
+
+@pytest.mark.parametrize("Q", [-np.eye(2), [[1.0, 0.5], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]]])
+def test_Q_must_be_positive_semidefinite(Q):
+    for given in (np.array(Q), lambda t, dt: np.array(Q)):
+        with pytest.raises(CovarianceError, match="Q is not symmetric positive semidefinite"):
+            scalar_model(Q=given)
+    assert scalar_model(Q=np.zeros((2, 2))).space.n == 2
+
+
 def test_R_must_be_positive_definite():
     with pytest.raises(CovarianceError, match="R is not"):
         FunctionModel(lambda *a: a[0], lambda *a: a[0], np.eye(2), np.diag([1.0, 0.0]))
@@ -182,6 +196,11 @@ def test_a_function_of_one_state_may_return_lists_and_numbers():
     ("noise", "message"),
     [
         ({"Q": 0.1}, r"Q has shape \(\); expected a square matrix, 0.1 \* np.eye\(1\)"),
+        ({"n_states": 3}, r"Q has shape \(2, 2\); expected \(3, 3\) for 3 states"),
+        (
+            {"n_states": 2, "noise_gain": np.ones((3, 2))},
+            r"noise_gain has shape \(3, 2\); expected \(2, 2\) for 2 states",
+        ),
         ({"R": np.ones(2)}, r"R has shape \(2,\); expected a square matrix"),
         ({"Q": lambda t, dt: np.eye(2 if t == 0 else 3)}, r"Q returned shape \(3, 3\); expected"),
         ({"R": lambda t: np.eye(2 if t == 0 else 3)}, r"R returned shape \(3, 3\); expected"),
