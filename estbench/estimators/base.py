@@ -165,8 +165,7 @@ class GaussianEstimator:
 
     def init(self, mean: Array, cov: Array) -> Gaussian:
         """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
-        model = getattr(self, "model", None)  # a user's own may have none
-        check_prior(None if model is None else model.space, mean, cov)
+        check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
         return Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
 
     def mean(self, belief: Gaussian) -> Array:

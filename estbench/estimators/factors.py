@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from estbench.estimators.base import Fault, Gaussian, Innovation, check_prior, marked
 from estbench.linalg import cholesky, pad_absent, solve_lower
 from estbench.manifold import Manifold
-from estbench.models.base import Model
 
 Array = NDArray[np.float64]
 
@@ -33,11 +32,9 @@ class FactorBelief:
 class FactorEstimator:
     """Shared by the square-root filters: init, mean and cov."""
 
-    model: Model
-
     def init(self, mean: Array, cov: Array) -> FactorBelief:
         """Start from mean `(run, nx)` and cov `(run, n, n)`, which may be semidefinite."""
-        check_prior(self.model.space, mean, cov)
+        check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
         factor = triangular(psd_root(cov))
         return factor_belief(mean, factor, np.zeros(len(mean), np.uint8), lost(factor, cov))
 
