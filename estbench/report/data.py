@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from estbench.analysis.coverage import Coverage
+from estbench.analysis.coverage import coverage as shares_inside
+from estbench.analysis.findings import inside_shares
 from estbench.consistency import chi_square_band
 from estbench.report.sources import Entry
 
@@ -60,6 +63,15 @@ class Steps:
         share = (total[window:] - total[:-window]) / np.maximum(inside, 1)
         start = int(share.argmax())
         return float(self.time[start]), float(self.time[start + window - 1]), float(share[start])
+
+
+def coverage(entry: Entry) -> tuple[Coverage, ...] | None:
+    """Of each coordinate, from the shares of each run, which only older stores lack."""
+    shares = inside_shares(entry.record)
+    if shares is None:
+        return None
+    each = shares[entry.good].swapaxes(0, 1)
+    return tuple(shares_inside(runs, entry.source.level) for runs in each)
 
 
 def nees_steps(entry: Entry) -> Steps:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.analysis.coverage import Coverage
 from estbench.errors import MissingExtraError
 from estbench.report import data, innovations, palette
 from estbench.report.data import Rmse, Steps
@@ -62,6 +63,7 @@ class Material:
     nees: list[Steps] = field(default_factory=list)
     nis: list[Steps] = field(default_factory=list)
     rmse: list[Rmse] = field(default_factory=list)
+    coverage: list[tuple[Coverage, ...] | None] = field(default_factory=list)
     white: list[Correlation | None] = field(default_factory=list)
     channels: list[dict[str, Correlation]] = field(default_factory=list)
 
@@ -70,6 +72,7 @@ class Material:
             self.nees.append(data.nees_steps(entry))
             self.nis.append(data.nis_steps(entry))
             self.rmse.append(data.rmse_steps(entry, traces.fourth if traces else None))
+            self.coverage.append(data.coverage(entry))
             self.white.append(innovations.whole(entry))
             self.channels.append(innovations.by_channel(entry))
 

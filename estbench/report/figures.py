@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from estbench.analysis.coverage import SIGMAS
 from estbench.report import data, palette, spreads
 from estbench.report.data import thin
 from estbench.report.drawing import BAND, Drawing, Material, area, axes, drawing, line, span
-from estbench.report.traces import SIGMAS
 
 
 def drawings(material: Material) -> dict[str, list[Drawing]]:
@@ -24,9 +24,10 @@ def drawings(material: Material) -> dict[str, list[Drawing]]:
         "density": [],
         "correlation": spreads.innovations(material),
     }
+    if any(material.coverage):
+        out["coverage"] = [spreads.coverage(material, k) for k in range(len(SIGMAS))]
     if any(material.traces):
         out["error"] = [_run_nees(material), *(_error(material, i) for i in n)]
-        out["coverage"] = [spreads.coverage(material, k) for k in range(len(SIGMAS))]
         out["density"] = [
             spreads.nees_density(material),
             *(spreads.error_density(material, i) for i in n),

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import stats
 
+from estbench.analysis.coverage import EXPECTED, SIGMAS
 from estbench.errors import EstbenchError, MissingExtraError, StoreError, did_you_mean
-from estbench.report import data, palette, traces
+from estbench.report import data, innovations, palette, traces
 from estbench.report.data import Steps, thin
 from estbench.report.sources import Entry
 
@@ -31,7 +32,8 @@ _STYLE: Any = {
     "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42,
     "svg.hashsalt": "estbench", "axes.formatter.useoffset": False, "savefig.dpi": 200,
 }  # fmt: skip
-_NEED_TRACES = ("error", "coverage", "histogram", "autocorrelation")
+T = TypeVar("T")
+_NEED_TRACES = ("error", "histogram")
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,18 +227,17 @@ def _statistics(paper: Paper) -> list[traces.TraceStatistics]:
 
 
 def _coverage(paper: Paper) -> Figure:
-    chosen, found = paper.chosen, _statistics(paper)
+    chosen, found = paper.chosen, _known(paper, "coverage", data.coverage)
     names = paper.entries[0].source.names
     stacked = paper.columns == 1
-    rows = len(traces.SIGMAS) if stacked else 1
+    rows = len(SIGMAS) if stacked else 1
     height = 0.55 + 0.17 * len(chosen)
-    figure, axes = _figure(paper, rows, len(traces.SIGMAS) // rows, height)
+    figure, axes = _figure(paper, rows, len(SIGMAS) // rows, height)
     place = np.arange(len(chosen))
-    for s, (ax, sigmas) in enumerate(zip(axes, traces.SIGMAS)):
-        expected = float(stats.chi2.cdf(sigmas**2, 1))
+    for s, (ax, sigmas, expected) in enumerate(zip(axes, SIGMAS, EXPECTED)):
         ax.axvline(expected, color="#777777", ls="--", lw=0.9)
-        for k, statistics in enumerate(found):
-            cells = [statistics.coverage[s][i] for i in chosen]
+        for k, coverage in enumerate(found):
+            cells = [coverage[i].shares[s] for i in chosen]
             value = np.array([c.value for c in cells])
             spread = [value - [c.low for c in cells], [c.high for c in cells] - value]
             offset = 0.5 * ((k + 1) / (len(found) + 1) - 0.5)
@@ -267,16 +268,42 @@ def _histogram(paper: Paper) -> Figure:
 
 
 def _autocorrelation(paper: Paper) -> Figure:
+    """Of NIS; from stores that kept no traces, of the whitened innovations."""
     figure, (ax,) = _figure(paper, 1, 1, 1.9)
-    for k, statistics in enumerate(_statistics(paper)):
-        lags = np.flatnonzero(np.isfinite(statistics.correlation))[1:]
-        half = statistics.correlation_band[lags]
+    if all(e.source.has_traces for e in paper.entries):
+        curves = [_of_nis(statistics) for statistics in _statistics(paper)]
+        ax.set(xlabel="lag (instants)", ylabel="autocorrelation of NIS")
+    else:
+        found = _known(paper, "autocorrelation", innovations.whole)
+        curves = [
+            (1 + np.arange(len(c.band)), np.array([i.value for i in c.found.correlation]), c.band)
+            for c in found
+        ]
+        ax.set(xlabel="lag (readings of a channel)", ylabel="autocorrelation, innovations")
+    for k, (lags, values, half) in enumerate(curves):
         if k == 0:
             ax.fill_between(lags, -half, half, color="#cccccc", lw=0)
-        ax.plot(lags, statistics.correlation[lags], marker=".", ms=3, **_style(k))
-    ax.set(xlabel="lag (instants)", ylabel="autocorrelation of NIS")
+        ax.plot(lags, values, marker=".", ms=3, **_style(k))
     _legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
     return figure
+
+
+def _of_nis(statistics: traces.TraceStatistics) -> tuple[Any, Any, Any]:
+    """Lags, correlation, half-width of its band."""
+    lags = np.flatnonzero(np.isfinite(statistics.correlation))[1:]
+    return lags, statistics.correlation[lags], statistics.correlation_band[lags]
+
+
+def _known(paper: Paper, what: str, of: Callable[[Entry], T | None]) -> list[T]:
+    """What each entry has of it."""
+    found = [of(entry) for entry in paper.entries]
+    for entry, one in zip(paper.entries, found):
+        if one is None:
+            raise StoreError(
+                f"{entry.source.folder} has no {what} of {entry.label}: it is of an older version, "
+                "or too short; run it again"
+            )
+    return [one for one in found if one is not None]
 
 
 KINDS: dict[str, Callable[[Paper], Figure]] = {

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from estbench.analysis.coverage import EXPECTED, SIGMAS
 from estbench.analysis.tables import number
 from estbench.errors import MissingExtraError
 from estbench.report import palette
 from estbench.report.drawing import BAND, Drawing, Material, area, axes, drawing, line
 from estbench.report.innovations import Correlation
 from estbench.report.sources import Entry
-from estbench.report.traces import ERROR_EDGES, SIGMAS, TraceStatistics
+from estbench.report.traces import ERROR_EDGES, TraceStatistics
 
 try:
     import plotly.graph_objects as go
@@ -58,11 +59,11 @@ def verdict(material: Material) -> Drawing:
 def coverage(material: Material, k: int) -> Drawing:
     """Share of errors within so many σ, a dot a coordinate."""
     names = material.names
-    expected = float(stats.chi2.cdf(SIGMAS[k] ** 2, 1))
-    drawn = [(j, e, t) for j, (e, t) in enumerate(zip(material.entries, material.traces)) if t]
+    expected = EXPECTED[k]
+    drawn = [(j, e, c) for j, (e, c) in enumerate(zip(material.entries, material.coverage)) if c]
     traces = []
-    for place, (j, entry, statistics) in enumerate(drawn):
-        cells = statistics.coverage[k]
+    for place, (j, entry, found) in enumerate(drawn):
+        cells = [coordinate.shares[k] for coordinate in found]
         offset = 0.5 * ((place + 1) / (len(drawn) + 1) - 0.5)
         traces.append(
             go.Scatter(

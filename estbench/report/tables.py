@@ -170,8 +170,8 @@ def notices(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | Non
     bare = [e.source.title for e, t in zip(entries, statistics) if t is None]
     if bare:
         out.append(
-            f"{', '.join(dict.fromkeys(bare))} kept no traces: the error of single runs, coverage, "
-            "distributions, autocorrelation, videos and the time of divergence need "
+            f"{', '.join(dict.fromkeys(bare))} kept no traces: the error of single runs, "
+            "distributions, the autocorrelation of NIS, videos and the time of divergence need "
             "`estbench run --keep diagonal`."
         )
     return out

@@ -9,14 +9,13 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency import Interval, chi_square_band, mean_interval
+from estbench.consistency import chi_square_band
 from estbench.executors import cpu_count
 from estbench.report.data import thin
 from estbench.report.sources import Entry
 
 Array = NDArray[np.float64]
 
-SIGMAS = (1, 2, 3)
 LAGS = 40
 ERROR_EDGES = np.linspace(-5.0, 5.0, 81)
 """Bins of error/σ."""
@@ -28,7 +27,6 @@ class TraceStatistics:
     """What only the traces can say of one estimator; over the runs that did not diverge.
 
     Attributes:
-        coverage: share of the errors within 1, 2, 3σ: `[sigma][coordinate]`, intervals across runs.
         errors: density of error/σ in the bins `ERROR_EDGES` `(n, bins)`.
         beyond: share of error/σ outside these bins `(n,)`.
         nees_edges, nees: bins of NEES and the density in them.
@@ -40,7 +38,6 @@ class TraceStatistics:
             it failed without.
     """
 
-    coverage: tuple[tuple[Interval, ...], ...]
     errors: Array
     beyond: Array
     nees_edges: Array
@@ -56,7 +53,6 @@ class TraceStatistics:
 class _Part:
     """The sums of one batch."""
 
-    coverage: Array
     errors: Array
     total: int
     nees: Array
@@ -77,7 +73,6 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         parts = list(
             pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), _pieces(entry))
         )
-    coverage = np.concatenate([p.coverage for p in parts])
     total = sum(p.total for p in parts)
     errors, nees, out, products, pairs, fourth = (
         np.sum([getattr(p, name) for p in parts], axis=0)
@@ -90,10 +85,6 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         mean = np.where(pairs > 0, products / pairs, np.nan)
         z = float(stats.norm.ppf(0.5 + source.level / 2))
         return TraceStatistics(
-            coverage=tuple(
-                tuple(mean_interval(coverage[:, k, i], source.level) for i in range(n))
-                for k in range(len(SIGMAS))
-            ),
             errors=errors / (total * np.diff(ERROR_EDGES)),
             beyond=1 - errors.sum(axis=1) / total,
             nees_edges=edges,
@@ -125,7 +116,6 @@ def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
     error, std = _double(group, "error")[good], _double(group, "std")[good]
     settled = source.settled
     ratio = error[:, settled] / std[:, settled]
-    coverage = np.stack([(np.abs(ratio) <= k).mean(axis=1) for k in SIGMAS], axis=1)
     errors = np.stack([_histogram(ratio[..., i], ERROR_EDGES) for i in range(n)])
     nis, dof = _double(group, "nis")[good], group["dof"].values[good]
     out = np.concatenate(
@@ -136,7 +126,7 @@ def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
     )
     products, pairs = _products(nis[:, settled], dof[:, settled])
     return _Part(
-        coverage, errors, ratio[..., 0].size, _histogram(nees[:, settled], edges),
+        errors, ratio[..., 0].size, _histogram(nees[:, settled], edges),
         out, products, pairs, (error**4).sum(axis=0), left,
     )  # fmt: skip
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from estbench.analysis.coverage import SIGMAS
 from estbench.consistency import chi_square_band, mean_interval, positive_mean_interval
 from estbench.report import data, traces
 
@@ -81,10 +82,6 @@ def test_trace_statistics_are_those_of_all_runs(pair):
     assert found is not None
     group, settled = entry.group, entry.source.settled
     ratio = (group["error"].values / group["std"].values)[:, settled]
-    for k, sigmas in enumerate(traces.SIGMAS):
-        for i in range(entry.source.n):
-            share = (np.abs(ratio[..., i]) <= sigmas).mean(axis=1)
-            assert found.coverage[k][i] == mean_interval(share, 0.95)
     width = np.diff(traces.ERROR_EDGES)
     counts = np.histogram(ratio[..., 0], traces.ERROR_EDGES)[0]
     np.testing.assert_allclose(found.errors[0] * width * ratio[..., 0].size, counts)
@@ -92,6 +89,23 @@ def test_trace_statistics_are_those_of_all_runs(pair):
     nees = group["nees"].values[:, settled]
     low, high = chi_square_band(entry.source.n, 1, 0.95)
     assert found.outside[0] == pytest.approx(((nees < low) | (nees > high)).mean())
+
+
+def test_coverage_is_that_of_the_traces_and_stays_a_share(pair):
+    entry = pair[0]
+    found, group = data.coverage(entry), entry.group
+    assert found is not None
+    ratio = (group["error"].values / group["std"].values)[:, entry.source.settled]
+    beyond = False
+    for k, sigmas in enumerate(SIGMAS):
+        for i in range(entry.source.n):
+            expected = mean_interval((np.abs(ratio[..., i]) <= sigmas).mean(axis=1), 0.95)
+            shown = found[i].shares[k]
+            assert shown.value == pytest.approx(expected.value)
+            assert shown.low == pytest.approx(expected.low)
+            assert shown.high == pytest.approx(min(expected.high, 1.0))
+            beyond |= expected.high > 1
+    assert beyond
 
 
 def test_autocorrelation_of_independent_nis_is_in_its_band(pair, monkeypatch):

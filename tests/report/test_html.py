@@ -12,10 +12,12 @@ import pytest
 pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
+from estbench.analysis.coverage import SIGMAS
 from estbench.consistency import chi_square_band, positive_mean_interval
 from estbench.records import SUMMARY
 from estbench.report import data, innovations, pairs, sources, traces
 from estbench.report.html import render, write_report
+from estbench.report.tables import notices
 from estbench.statistics import summarize
 
 
@@ -184,15 +186,22 @@ def test_rmse_curves(two):
             assert low[9] == pytest.approx(np.sqrt(bound), rel=1e-9)
 
 
+def check_coverage(page, entry):
+    coverage = data.coverage(entry)
+    assert coverage is not None
+    for k, sigmas in enumerate(SIGMAS):
+        shown = trace(page, f"coverage-{sigmas}", entry.key)
+        np.testing.assert_array_equal(numbers(shown["x"]), [c.shares[k].value for c in coverage])
+        high = [c.shares[k].high - c.shares[k].value for c in coverage]
+        np.testing.assert_array_equal(numbers(shown["error_x"]["array"]), high)
+
+
 def test_coverage_and_densities(two):
     entries, _, page, _ = two
     for entry in entries:
         found = traces.statistics(entry)
         assert found is not None
-        for k, sigmas in enumerate(traces.SIGMAS):
-            shown = trace(page, f"coverage-{sigmas}", entry.key)
-            expected = [cell.value for cell in found.coverage[k]]
-            np.testing.assert_array_equal(numbers(shown["x"]), expected)
+        check_coverage(page, entry)
         for i in range(entry.source.n):
             density = trace(page, f"density-{i}", entry.key, role="density")
             np.testing.assert_array_equal(numbers(density["y"]), found.errors[i])
@@ -290,7 +299,12 @@ def test_a_summary_says_what_needs_traces(entries, tmp_path):
     assert "need `estbench run --keep diagonal`" in words
     assert {"nees", "nis", "rmse-0", "step-cost"} <= tables.ids
     assert ("innovations" in tables.ids) == ("lags" in SUMMARY)
-    assert not {"error-0", "coverage-1", "nis-correlation"} & tables.ids
+    assert not {"error-0", "density-0", "nis-correlation", "table-outside"} & tables.ids
+    assert {"coverage-1", "coverage-2", "coverage-3"} <= tables.ids
+    (notice,) = [n for n in notices(entries("bare"), [None]) if "kept no traces" in n]
+    assert "coverage" not in notice
+    assert "the autocorrelation of NIS" in notice
+    check_coverage(page_data(page), entries("bare")[0])
     assert page_data(page)["runs"] == {}
 
 
@@ -318,10 +332,7 @@ def test_many_runs_are_thinned_for_drawing_only(entries, monkeypatch):
     page = page_data(render(pair, video=False))
     assert len(page["runs"]) == 2
     assert all(numbers(r["ekf"]["time"]).size <= 32 for r in page["runs"].values())
-    shown = trace(page, "coverage-1", "ekf")
-    found = traces.statistics(pair[0])
-    assert found is not None
-    assert numbers(shown["x"])[0] == found.coverage[0][0].value
+    check_coverage(page, pair[0])
 
 
 def test_names_are_escaped(store, tmp_path):

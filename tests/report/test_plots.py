@@ -6,7 +6,7 @@ import matplotlib.image
 import numpy as np
 
 from estbench.errors import EstbenchError, StoreError
-from estbench.report import data, plots, sources
+from estbench.report import data, innovations, plots, sources
 
 
 @pytest.mark.parametrize("what", plots.KINDS)
@@ -45,6 +45,25 @@ def test_chosen_coordinates_and_run(entries):
     assert ax.get_ylabel() == "hinge.vel (rad/s)"
     error = pair[0].group["error"].values[5, :, 1]
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), error)
+
+
+def test_a_summary_has_coverage_and_the_correlation_of_its_innovations(entries, tmp_path):
+    bare = plots.Paper(entries("bare"))
+    ax = plots._autocorrelation(bare).axes[0]
+    white = innovations.whole(bare.entries[0])
+    assert white is not None
+    np.testing.assert_array_equal(
+        ax.lines[0].get_ydata(), [i.value for i in white.found.correlation]
+    )
+    assert ax.get_ylabel() == "autocorrelation, innovations"
+    assert plots._autocorrelation(plots.Paper(entries("two"))).axes[0].get_ylabel().endswith("NIS")
+    for what in ("coverage", "autocorrelation"):
+        plots.plot(bare, what, tmp_path / f"{what}.png")
+    for name in ("lags", "inside_2"):
+        del bare.entries[0].record[name]
+    for what in ("coverage", "autocorrelation"):
+        with pytest.raises(StoreError, match=f"has no {what} of ekf: it is of an older version"):
+            plots.plot(bare, what, tmp_path / "a.png")
 
 
 def test_bad_input(entries, store, tmp_path):
