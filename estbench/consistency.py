@@ -75,7 +75,7 @@ def positive_mean_interval(values: Array, level: float = 0.95) -> Interval:
         return mean_interval(values, level)
     squared = float(values.var(ddof=1)) / mean**2
     v = squared / count / 9
-    half = float(stats.t.ppf(0.5 + level / 2, (count - 1) / (1 + squared))) * np.sqrt(v)
+    half = float(stats.t.ppf(0.5 + level / 2, (count - 1) / (1 + squared)) * np.sqrt(v))
     low, high = mean / (1 - v + half) ** 3, 1 - v - half
     return Interval(mean, low, mean / high**3 if high > 0 else np.inf)
 

@@ -104,8 +104,7 @@ def summarize(
         diverged=share,
         diverged_interval=wilson(int((~good).sum()), len(good), level),
         rmse=tuple(
-            Interval(np.sqrt(i.value), np.sqrt(max(i.low, 0.0)), np.sqrt(max(i.high, 0.0)))
-            for i in mse
+            Interval(*(float(np.sqrt(max(x, 0.0))) for x in (i.value, i.low, i.high))) for i in mse
         ),
         rmse_median=np.sqrt(np.median(every, axis=0)),
         std=np.sqrt(record["variance"][good].mean(axis=0))

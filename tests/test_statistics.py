@@ -202,6 +202,13 @@ def test_summary_by_hand():
     )
 
 
+def test_intervals_are_of_plain_numbers():
+    summary = summarize(reduce(traces(runs=7)))
+    intervals = (summary.anees, summary.anis, summary.lag_one, summary.diverged_interval)
+    for interval in (*intervals, *summary.rmse):
+        assert [type(x) for x in vars(interval).values()] == [float] * 3
+
+
 @pytest.mark.parametrize(
     ("spread", "verdict"),
     [(1.0, Verdict.CONSISTENT), (1.5, Verdict.OVERCONFIDENT), (0.6, Verdict.CONSERVATIVE)],
