@@ -194,14 +194,24 @@ def _late(summaries: tuple[Summary, ...]) -> list[str]:
 
 
 def interval(i: Interval) -> str:
-    """`1.02 ± 0.03`, with as many decimals as the half-width has meaning."""
+    """`1.02 ± 0.03`, with as many decimals as the half-width has meaning.
+
+    A lopsided one is `12 [3.1, 120]`: 12 ± 58 would hold 1, and the interval does not.
+    """
     half = 0.5 * (i.high - i.low)
     if not np.isfinite(half):
         return f"{i.value:.3g}"
+    if 2 * half > 2.5 * min(i.value - i.low, i.high - i.value):  # one side 1.5 times the other
+        return f"{_two_digits(i.value)} [{_two_digits(i.low)}, {_two_digits(i.high)}]"
     if max(abs(i.value), half) >= LARGE:
         return f"{i.value:.2e} ± {half:.1e}"
     decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 3)) if half > 0 else 3
     return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
+
+
+def _two_digits(x: float) -> str:
+    rounded = float(f"{x:.1e}")
+    return f"{rounded:g}" if abs(rounded) < LARGE else f"{rounded:.1e}"
 
 
 def _short(x: float) -> str:

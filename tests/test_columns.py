@@ -73,6 +73,15 @@ def test_long_labels_in_the_tables_of_results():
         assert lines.count(label) == len(rows) + 1  # and the heading of its errors
 
 
+def test_a_lopsided_interval_shows_its_ends():
+    assert interval(Interval(12.34, 3.12, 119.6)) == "12 [3.1, 120]"
+    assert interval(Interval(1.0, 0.7, 1.44)) == "1.00 ± 0.37"
+    assert interval(Interval(1.0, 0.7, 1.46)) == "1 [0.7, 1.5]"
+    assert interval(Interval(-1.0, -1.46, -0.7)) == "-1 [-1.5, -0.7]"
+    assert interval(Interval(2.34e7, 99_400.0, 3e80)) == "2.3e+07 [99000, 3.0e+80]"
+    assert interval(Interval(1.0, 1.0, 1.0)) == "1.000 ± 0.000"
+
+
 def test_huge_numbers_are_short():
     assert interval(Interval(1.5e80, 1e80, 2e80)) == "1.50e+80 ± 5.0e+79"
     assert interval(Interval(3.0, -1e9, 1e9)) == "3.00e+00 ± 1.0e+09"
