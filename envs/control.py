@@ -21,6 +21,7 @@ from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean
 from estbench.executors import cpu_count
 from estbench.models.rows import engine
+from estbench.scenario import Chosen
 from estbench.sections import Scenario
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ class Comparison:
 
 def compare(
     scenario: str | Path | Scenario,
-    estimators: Sequence[str] | None = None,
+    estimators: Chosen | None = None,
     *,
     controller: str | None = None,
     runs: int = 100,
@@ -113,7 +114,7 @@ def compare(
 
     Args:
         scenario: bundled name, path or `Scenario`; its `[task]` gives cost, bounds and horizon.
-        estimators: labels or names in place of the scenario's.
+        estimators: labels, names or classes in place of the scenario's; one needs no list.
         controller: kind in place of the scenario's (`estbench list` shows them).
         runs: how many.
         seed: of run 0; run i has seed + i; default the scenario's.

@@ -12,7 +12,7 @@ from estbench import executors, records, setup, statistics, store, worker
 from estbench.batches import default_batch_size, run_batch, traced
 from estbench.errors import ExecutorError, Interrupted, StoreError
 from estbench.results import Results
-from estbench.scenario import Scenario, resolve
+from estbench.scenario import Chosen, Scenario, resolve
 
 __all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
 
@@ -24,7 +24,7 @@ Say = Callable[[str], None]
 
 def run(
     scenario: str | Path | Scenario,
-    estimators: Sequence[str] | None = None,
+    estimators: Chosen | None = None,
     *,
     runs: int | None = None,
     seed: int | None = None,
@@ -46,7 +46,7 @@ def run(
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
-        estimators: labels or names to run in place of the scenario's.
+        estimators: labels, names or classes to run in place of the scenario's; one needs no list.
         runs: Monte Carlo runs, in place of the scenario's.
         seed: in place of the scenario's.
         duration: s, in place of the scenario's.

@@ -63,9 +63,13 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
 
 
+Chosen = str | type | Sequence[str | type]
+"""Estimators to run: a label, a name or a class, or several of them."""
+
+
 def resolve(
     scenario: str | Path | Scenario,
-    estimators: Sequence[str] | None = None,
+    estimators: Chosen | None = None,
     runs: int | None = None,
     seed: int | None = None,
     duration: float | None = None,
@@ -75,15 +79,17 @@ def resolve(
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
-        estimators: labels or names to run in place of the scenario's.
+        estimators: labels, names or classes to run in place of the scenario's; the label of a
+            class is its own name, and the table of that label holds its settings.
         runs: Monte Carlo runs, in place of the scenario's.
         seed: in place of the scenario's.
         duration: s, in place of the scenario's.
         overrides: `section.key=value` strings.
 
     Raises:
-        ScenarioError: there is no such scenario, or it does not validate.
-        EstimatorError: an estimator is not known, or named twice.
+        ScenarioError: there is no such scenario, it does not validate, or an override is of an
+            estimator that is not run.
+        EstimatorError: an estimator is not known, named twice, or its label is another's.
     """
     simulation = {"runs": runs, "seed": seed, "duration": duration}
     overrides = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None] + [
@@ -94,20 +100,43 @@ def resolve(
     else:
         resolved = load(scenario, overrides)
     if estimators:
-        known = dict(resolved.estimators)
-        chosen = {}
-        for name in estimators:
-            label = name.rpartition(":")[2] if ":" in name else name
-            if label in chosen:
-                raise EstimatorError(f"estimator '{label}' is named twice; give each its own label")
-            chosen[label] = known.get(name, {} if label == name else {"type": name})
-            if name not in known and ":" not in name and name not in registry.known():
-                hint = did_you_mean(name, {**registry.known(), **known})
-                raise EstimatorError(f"no estimator '{name}'{hint}")
+        chosen = _chosen(estimators, resolved.estimators)
         resolved = resolved.model_copy(update={"estimators": chosen})
+    for text in overrides:
+        section, *label = _parsed(text)[0][:2]
+        if section == "estimators" and label and label[0] not in resolved.estimators:
+            raise ScenarioError(
+                f"--set {text!r} has no effect: '{label[0]}' is not run; the estimators that run "
+                f"are {', '.join(resolved.estimators)}"
+            )
     if "truth" in resolved.estimators:
         raise ScenarioError("estimators.truth: the label 'truth' is taken; choose another")
     return resolved
+
+
+def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Label -> settings of the estimators to run, with the tables that the scenario has of them."""
+    several = [estimators] if isinstance(estimators, str | type) else estimators
+    chosen: dict[str, dict[str, Any]] = {}
+    for name in map(registry.name_of, several):
+        if name not in known and ":" not in name and name not in registry.known():
+            hint = did_you_mean(name, {**registry.known(), **known})
+            raise EstimatorError(f"no estimator '{name}'{hint}")
+        label = name.rpartition(":")[2]
+        if not label:
+            raise EstimatorError(
+                f"estimator '{name}': the name after the colon is missing; use package.module:Name"
+            )
+        if label in chosen:
+            raise EstimatorError(f"estimator '{label}' is named twice; give each its own label")
+        own = known.get(label, {})
+        if label != name and own.get("type", name) != name:
+            raise EstimatorError(
+                f"estimator '{name}': the label '{label}' is that of the scenario's "
+                f"{own['type']!r}; choose that label, or give one of them another name"
+            )
+        chosen[label] = own if label == name else {**own, "type": name}
+    return chosen
 
 
 def start(scenario: Scenario, label: str) -> StartSection:
@@ -177,7 +206,18 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
-    """Set one `a.b.c=value` in nested tables; a quoted part may hold dots or globs."""
+    """Set one `a.b.c=value` in nested tables."""
+    (*sections, last), value = _parsed(override)
+    table = data
+    for part in sections:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {override!r}: '{part}' is a value, not a section")
+    table[last] = value
+
+
+def _parsed(override: str) -> tuple[list[str], Any]:
+    """The parts of the key of `a.b.c=value` (a quoted one may hold dots or globs), the value."""
     key, equals, text = override.partition("=")
     if not equals or not key.strip():
         raise ScenarioError(f"--set {override!r} is not of the form section.key=value")
@@ -191,15 +231,11 @@ def _apply(data: dict[str, Any], override: str) -> None:
             raise tomllib.TOMLDecodeError
     except tomllib.TOMLDecodeError:
         raise ScenarioError(f"--set {override!r}: '{key}' is not a dotted TOML key") from None
-    table = data
-    while True:
-        (part, rest), *_ = parts.items()
-        if not isinstance(rest, dict):
-            table[part] = value
-            return
-        table, parts = table.setdefault(part, {}), rest
-        if not isinstance(table, dict):
-            raise ScenarioError(f"--set {override!r}: '{part}' is a value, not a section")
+    names: list[str] = []
+    while isinstance(parts, dict):
+        ((part, parts),) = parts.items()
+        names.append(part)
+    return names, value
 
 
 def _resolve_paths(data: dict[str, Any], folder: Path) -> None:

@@ -12,6 +12,8 @@ import pytest
 
 import estbench
 from estbench import cli
+from estbench.errors import EstimatorError
+from estbench.estimators.ekf import EKF
 from estbench.scenario import bundled
 
 SCRIPT = Path(sys.executable).with_name("estbench")
@@ -48,6 +50,15 @@ def raises(t, x):
 
 def not_finite(t, x):
     return np.full((len(x), 1), np.nan if t > 0.05 else 0.0)
+
+
+class Gained(EKF):
+    """An EKF with a setting."""
+
+    def __init__(self, model, gain_scale=1.0):
+        super().__init__(model)
+        if gain_scale != 1.0:
+            raise EstimatorError(f"gain_scale is {gain_scale}")
 
 
 @pytest.fixture
@@ -242,6 +253,30 @@ BAD = {
     "folder": (("run", "taken"), "no scenario 'taken'"),
     "estimator": (("run", "cartpole", "-e", "ekff"), "no estimator 'ekff' .did you mean 'ekf'"),
     "estimator module": (("run", "cartpole", "-e", "no.such:X"), "cannot import 'no.such'"),
+    "estimator after the colon": (
+        ("run", "cartpole", "-e", "mine:"),
+        "estimator 'mine:': the name after the colon is missing",
+    ),
+    "setting of another": (
+        ("run", "cartpole", "-e", "ekf", "--set", "estimators.ukf.alpa=3"),
+        "'estimators.ukf.alpa=3' has no effect: 'ukf' is not run; .* that run are ekf$",
+    ),
+    "setting of none": (
+        ("run", "cartpole", "-e", "ekf", "-e", "kf", "--set", 'estimators."no.such".alpha=3'),
+        "'no.such' is not run; the estimators that run are ekf, kf$",
+    ),
+    "setting of a class": (
+        ("run", "cartpole", "-e", f"{HERE}:Gained", "--set", "estimators.Gained.gain_scal=0.7"),
+        "Gained: no setting 'gain_scal' .did you mean 'gain_scale'",
+    ),
+    "type of a class": (
+        ("run", "cartpole", "-e", f"{HERE}:Gained", "--set", "estimators.Gained.type=ekf"),
+        f"'{HERE}:Gained': the label 'Gained' is that of the scenario's 'ekf'",
+    ),
+    "value for a class": (
+        ("run", "cartpole", "-e", f"{HERE}:Gained", "--set", "estimators.Gained.gain_scale=0.7"),
+        "gain_scale is 0.7",
+    ),
     "estimator type": (
         ("run", "cartpole", "--set", "estimators={a={type='ufk'}}"),
         "no estimator 'ufk' .did you mean 'ukf'",

@@ -1,8 +1,9 @@
 import pytest
 
-from estbench.errors import ScenarioError
+from estbench.errors import EstimatorError, ScenarioError
+from estbench.estimators.ekf import EKF
 from estbench.models import mjcf
-from estbench.scenario import bundled, load, override
+from estbench.scenario import bundled, load, override, resolve
 
 MINIMAL = 'name = "mine"\n[model]\npath = "robot.xml"\n'
 
@@ -205,3 +206,39 @@ def test_a_file_of_another_kind(tmp_path):
 def test_a_scenario_cannot_be_changed():
     with pytest.raises(ValueError, match="frozen"):
         load("cartpole").simulation.runs = 3
+
+
+class Mine(EKF):
+    """Found as tests.test_scenario:Mine."""
+
+
+def test_one_estimator_needs_no_list_and_a_class_no_name():
+    mine = {"type": f"{__name__}:Mine"}
+    assert resolve("pendulum", "ekf").estimators == {"ekf": {}}
+    assert resolve("pendulum", Mine).estimators == {"Mine": mine}
+    assert resolve("pendulum", [Mine, "ekf"]).estimators == {"Mine": mine, "ekf": {}}
+    with pytest.raises(EstimatorError, match="no estimator 'ekff'"):
+        resolve("pendulum", "ekff")
+    with pytest.raises(EstimatorError, match="estimator 3 is neither a name nor a class"):
+        resolve("pendulum", [3])
+
+    class Local(EKF):
+        pass
+
+    with pytest.raises(EstimatorError, match=r"cannot be imported as .*Local; define it at the top"):
+        resolve("pendulum", Local)
+
+
+def test_the_table_of_a_label_holds_for_a_class_of_that_name():
+    settings = [
+        "estimators.Mine={delays='naive'}",
+        "estimators.Mine.start={inflate=2.0}",
+    ]
+    expected = {"delays": "naive", "start": {"inflate": 2.0}, "type": f"{__name__}:Mine"}
+    assert resolve("pendulum", Mine, overrides=settings).estimators == {"Mine": expected}
+
+
+def test_tables_of_a_file_need_not_be_run(tmp_path):
+    tables = f'{MINIMAL}[estimators.ekf]\n[estimators.other]\ntype = "ukf"\nalpha = 0.5\n'
+    path = write(tmp_path, tables)
+    assert resolve(path, ["ekf"]).estimators == {"ekf": {}}

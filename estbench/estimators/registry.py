@@ -71,6 +71,28 @@ def resolve(name: str) -> type:
     return found
 
 
+def name_of(estimator: str | type) -> str:
+    """The name itself, or `module:Name` of a class, under which workers find it again.
+
+    Raises:
+        EstimatorError: neither, or a class that cannot be imported under that name.
+    """
+    if isinstance(estimator, str):
+        return estimator
+    if not isinstance(estimator, type):
+        raise EstimatorError(
+            f"estimator {estimator!r} is neither a name nor a class; use one of `estbench list`, "
+            "package.module:Name, or a class"
+        )
+    module, name = estimator.__module__, estimator.__qualname__
+    if getattr(sys.modules.get(module), name, None) is not estimator:
+        raise EstimatorError(
+            f"estimator {name}: the class cannot be imported as {module}:{name}; define it at the "
+            "top of a module"
+        )
+    return f"{module}:{name}"
+
+
 def load_module(module: str, what: str) -> Any:
     """Import a user's module, looking in the current folder too.
 
