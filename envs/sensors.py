@@ -24,12 +24,21 @@ def encoders(model: mujoco.MjModel, pattern: str = "*", noise: float | None = No
         model: compiled MuJoCo model, e.g. `env.unwrapped.model`.
         pattern: glob pattern of joint names.
         noise: standard deviation, rad or m; default by unit.
+
+    Raises:
+        ScenarioError: the pattern matches no such joint.
     """
+    joints = {name: kind for name, kind in _joints(model) if kind != FREE}
     table: Table = {}
-    for name, kind in _joints(model):
-        if kind != FREE and fnmatchcase(name, pattern):
+    for name, kind in joints.items():
+        if fnmatchcase(name, pattern):
             sensor = "ballquat" if kind == BALL else "jointpos"
             table[f"{name}_encoder"] = _entry(sensor, name, "joint", noise)
+    if not table and pattern != "*":
+        raise ScenarioError(
+            f"encoders: '{pattern}' matches no hinge, slide or ball joint"
+            f"{did_you_mean(pattern, joints)}"
+        )
     return table
 
 

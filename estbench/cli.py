@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from estbench import experiment, inspection, setup, store
+from estbench import __version__, experiment, inspection, setup, store
 from estbench.analysis import commands as analysis_commands
 from estbench.errors import EstbenchError, ExecutorError, Interrupted
 from estbench.report import commands
@@ -37,6 +37,22 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override the scenario; repeatable"),
 ]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"estbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="show it and exit"),
+    ] = False,
+) -> None:
+    """What stands before a command."""
 
 
 @app.command(
@@ -87,7 +103,8 @@ def run(
 ) -> None:
     """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
     resolved = experiment.resolve(scenario, estimator, runs, seed, duration, overrides or ())
-    folder = out if out is not None else store.default_folder(resolved.name)
+    going_on = resume or shard is not None  # with a folder that only the user can name
+    folder = out if out is not None or going_on else store.default_folder(resolved.name)
     with _progress(resolved.simulation.runs) as progress:
         results = experiment.run(
             resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=_shard(shard),

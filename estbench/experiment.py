@@ -83,8 +83,14 @@ def run(
     ):
         if value not in known:
             raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
-    if out is None and (resume or shard is not None):
-        raise StoreError("resume and shard need a folder to go on with; name it with --out")
+    for name, given in (("resume", resume), ("shard", shard is not None)):
+        if given and out is None:
+            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
+    if address is not None and executor != "dask":
+        raise ExecutorError(
+            f"address is {address!r}, that of a dask scheduler, but executor is {executor!r}; add "
+            "--executor dask, or leave the address out"
+        )
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
     prepared = setup.build(resolved)
     level, notices = _level(prepared, keep, dtype or "float64", out is not None)

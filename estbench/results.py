@@ -87,6 +87,8 @@ class Results:
         parts += [Text(line, style="yellow") for line in _late(self.summaries)]
         if self.folder is not None:
             parts.append(Text(f"written to {self.folder}"))
+            if self.interrupted:
+                parts.append(Text(f"go on with --out {self.folder} --resume"))
         return Group(*parts)
 
     def to_dict(self) -> dict[str, Any]:

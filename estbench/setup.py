@@ -1,5 +1,6 @@
 """From a validated scenario to the objects of an experiment: models, sensors, schedule, noise."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -210,6 +211,12 @@ def build(scenario: Scenario) -> Setup:
     )
     notices += resolution.silent(channels, instants[-1])
     burn_in, end = scenario.consistency.burn_in, instants[-1].end
+    if not math.isclose(end, duration, rel_tol=1e-9):
+        period = section.frame_skip * truth.opt.timestep
+        notices.append(
+            f"a duration of {duration:g} s was asked for, {end:g} s are run: whole control periods "
+            f"of {period:g} s"
+        )
     if burn_in >= end:
         raise ScenarioError(
             f"consistency.burn_in is {burn_in:g} s, which leaves nothing of a run of {end:g} s; "

@@ -198,6 +198,25 @@ def test_help(arguments, call):
     assert "Usage: " in out
 
 
+def test_version(call):
+    assert call("--version") == (0, f"estbench {estbench.__version__}\n", "")
+
+
+def test_view_says_which_port_it_takes(call):
+    _, out, _ = call("view", "--help")
+    assert "0 takes the first free from 8080" in " ".join(out.replace("│", " ").split())
+
+
+@pytest.mark.parametrize(("asked", "note"), [("0.015", True), ("0.02", False)])
+def test_a_duration_that_is_rounded_is_said(asked, note, call):
+    code, out, _ = call("run", "cartpole", "-e", "ekf", "--runs", "2", "--duration", asked)
+    assert code == 0
+    said = (
+        "note: a duration of 0.015 s was asked for, 0.02 s are run: whole control periods of 0.01"
+    )
+    assert (said in " ".join(out.split())) == note
+
+
 def test_no_command_shows_the_help(call):
     _, out, err = call()
     assert "Usage: estbench" in out
@@ -228,6 +247,7 @@ def test_ctrl_c_in_the_middle(folder, monkeypatch, capfd):
     found = re.search(r"interrupted: (\d+) of 60 runs finished", out)
     assert found
     assert said(err) == ""
+    assert out.endswith("written to x\ngo on with --out x --resume\n")
     with estbench.open_results("x") as tree:
         # One batch was reported; others may have been written meanwhile, and then they count.
         assert 15 <= int(tree["done"].sum()) == int(found[1]) < 60
@@ -390,6 +410,16 @@ BAD = {
     "shard": (("run", "cartpole", "--shard", "5/4"), r"shard is 5/4; use i/n with 1 <= i <= n"),
     "shard in words": (("run", "cartpole", "--shard", "one"), "--shard is 'one'; use I/N"),
     "resume nowhere": (("run", "cartpole", "--resume", "--out", "taken"), "holds no data.zarr"),
+    "resume without out": (("run", "cartpole", "--resume"), "resume needs the folder .* --out$"),
+    "shard without out": (("run", "cartpole", "--shard", "1/2"), "shard needs the folder .*--out$"),
+    "address": (
+        ("run", "cartpole", "--address", "tcp://127.0.0.1:9"),
+        "address is 'tcp://127.0.0.1:9', .* executor is 'auto'; add --executor dask",
+    ),
+    "robot": (
+        ("reproduce", "--robot", "pendulum", "--robot", "nothing", "--runs", "2"),
+        "no scenario 'nothing'",
+    ),
     "dask": (("run", "cartpole", "--executor", "dask"), "needs the scheduler's address"),
     # the words of typer
     "runs x": (("run", "cartpole", "--runs", "x"), "Invalid value for '--runs'.* see estbench run"),

@@ -195,6 +195,19 @@ def test_an_unknown_executor_and_a_missing_address():
         executors.pool("dask", 1)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"resume": True}, "resume needs the folder that it fills"),
+        ({"shard": (1, 2)}, "shard needs the folder that it fills"),
+        ({"address": "tcp://127.0.0.1:9"}, "address is .*, but executor is 'threads'"),
+    ],
+)
+def test_options_that_would_have_no_effect_are_refused(options, message):
+    with pytest.raises((StoreError, ExecutorError), match=message):
+        estbench.run("pendulum", "ekf", runs=2, duration=0.1, **options)
+
+
 def test_an_unreachable_scheduler_is_named_in_time(monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
     assert cluster.TIMEOUT <= 10.0  # importing the library takes its time too

@@ -225,7 +225,7 @@ def test_one_estimator_needs_no_list_and_a_class_no_name():
     class Local(EKF):
         pass
 
-    with pytest.raises(EstimatorError, match=r"cannot be imported as .*Local; define it at the top"):
+    with pytest.raises(EstimatorError, match=r"cannot be imported as .*Local; define it"):
         resolve("pendulum", Local)
 
 

@@ -145,8 +145,11 @@ def reproduce(
     """
     if runs < 2:
         raise AnalysisError(f"runs is {runs}; a comparison needs at least 2")
+    names = scenarios or robots()
+    for name in names:
+        experiment.resolve(name, runs=runs)  # refuses it before the others have been run
     boards = []
-    for name in scenarios or robots():
+    for name in names:
         say(f"{name}: {runs} runs of {len(estimators)} estimators")
         boards.append(play(name, runs, estimators, workers))
     return write(boards, out)

@@ -105,7 +105,9 @@ def view(
         str | None, typer.Option("--estimator", "-e", help="label; default the first")
     ] = None,
     run: Annotated[int, typer.Option(help="number of the first run")] = 0,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="of the page; 0 takes the first free from 8080")
+    ] = 0,
     window: Annotated[
         bool, typer.Option("--window", help="a window of this desktop in place of the browser")
     ] = False,

@@ -251,6 +251,8 @@ def test_sensors_from_helpers_and_toml(tmp_path):
     env = wrapped("Ant", estimator="ekf", observe="raw", sensors=str(path))
     assert env.observation_space.shape == (4,)
     model = env.unwrapped.model
+    with pytest.raises(ScenarioError, match=r"'ankel_1' matches no .*did you mean 'ankle_1'"):
+        sensors.encoders(model, "ankel_1")
     table = (
         sensors.encoders(model, "ankle_*", 0.02) | sensors.imu("torso", 0.1, 0.5)
         | sensors.position_fix("torso", 0.1, rate=10) | sensors.attitude_fix("torso", 0.1)
