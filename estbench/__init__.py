@@ -6,11 +6,33 @@
 'consistent'
 """
 
-from estbench.errors import EstbenchError
-from estbench.experiment import run
-from estbench.results import Results
-from estbench.scenario import load
-from estbench.store import open_results
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from estbench.errors import EstbenchError
+    from estbench.experiment import run
+    from estbench.results import Results
+    from estbench.scenario import load
+    from estbench.store import open_results
 
 __all__ = ["EstbenchError", "Results", "load", "open_results", "run"]
 __version__ = "0.1.0"
+
+_HOME = {
+    "EstbenchError": "errors",
+    "Results": "results",
+    "load": "scenario",
+    "open_results": "store",
+    "run": "experiment",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported when it is first used.
+
+    So the command line starts before MuJoCo is imported, and can say what is wrong with that.
+    """
+    if name not in _HOME:
+        raise AttributeError(f"module 'estbench' has no attribute '{name}'")
+    return getattr(import_module(f"estbench.{_HOME[name]}"), name)

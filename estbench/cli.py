@@ -1,4 +1,7 @@
-"""The command line: `estbench run | list | check | control`."""
+"""The command line: `estbench run | list | check | control`.
+
+What a command needs is imported when it runs: `--help` answers at once.
+"""
 
 import io
 import json
@@ -14,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from estbench import __version__, experiment, inspection, setup, store
+from estbench import __version__
 from estbench.analysis import commands as analysis_commands
 from estbench.errors import EstbenchError, ExecutorError, Interrupted
 from estbench.report import commands
@@ -102,6 +105,8 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of tables")] = False,
 ) -> None:
     """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
+    from estbench import experiment, store
+
     resolved = experiment.resolve(scenario, estimator, runs, seed, duration, overrides or ())
     going_on = resume or shard is not None  # with a folder that only the user can name
     folder = out if out is not None or going_on else store.default_folder(resolved.name)
@@ -126,6 +131,8 @@ def list_(
     as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of tables")] = False,
 ) -> None:
     """Show the scenarios, estimators, controllers and sensor types there are."""
+    from estbench import inspection
+
     if as_json:
         print(json.dumps(inspection.catalogue(), indent=2))
     else:
@@ -135,6 +142,8 @@ def list_(
 @app.command(epilog="Example: estbench check quadrotor")
 def check(scenario: Scenario, overrides: Overrides = None) -> None:
     """Load a scenario or MJCF and show its states, sensors, rates, noise and what looks wrong."""
+    from estbench import experiment, inspection
+
     _console().print(
         inspection.render_check(experiment.resolve(scenario, overrides=overrides or ()))
     )
@@ -151,7 +160,7 @@ def sensors(
     overrides: Overrides = None,
 ) -> None:
     """Show what each channel does to the true reading, and draw it."""
-    from estbench import sensor_picture, sensor_table
+    from estbench import experiment, sensor_picture, sensor_table, setup
 
     prepared = setup.build(experiment.resolve(scenario, overrides=overrides or ()))
     if out is not None:
@@ -178,7 +187,7 @@ def control(
     as_json: Annotated[bool, typer.Option("--json", help="print JSON in place of a table")] = False,
 ) -> None:
     """Run a controller on the truth, each estimate and raw readings: what the filter costs."""
-    from estbench.envs import control as loop  # gymnasium takes long to import
+    from estbench.envs import control as loop
     from estbench.envs import control_table
 
     compared = loop.compare(
@@ -258,6 +267,13 @@ def main() -> None:
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+    except RuntimeError as error:
+        if "MUJOCO_GL" not in str(error):
+            raise
+        # MuJoCo refuses to be imported.
+        chosen = os.environ.get("MUJOCO_GL")
+        _complain(f"MUJOCO_GL is {chosen!r}; use egl, osmesa, glfw or disable, or unset it")
+        sys.exit(2)
     except BrokenPipeError:
         os._exit(0)  # the reader (head, less) has gone; nothing is left to say
     sys.exit(code)

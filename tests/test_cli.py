@@ -488,6 +488,12 @@ def test_a_terminal_without_greek(folder):
     assert "initial ?" in out
 
 
+def test_a_graphics_library_that_does_not_exist(folder):
+    process = start("list", env=os.environ | {"MUJOCO_GL": "foo"})
+    out, err = process.communicate(timeout=60)
+    assert_refused(process.returncode, out, err, "MUJOCO_GL is 'foo'; use egl, osmesa, glfw")
+
+
 def test_a_reader_that_has_gone(folder):
     process = start("list")
     process.stdout.close()
