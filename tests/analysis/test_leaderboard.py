@@ -99,10 +99,12 @@ def test_mistakes(tmp_path):
 
 
 def test_an_interruption_writes_nothing(tmp_path, monkeypatch):
+    results = estbench.run("pendulum", ["kf"], runs=2, duration=0.05)
+
     def interrupted(*arguments, **options):
         from dataclasses import replace
 
-        return replace(estbench.run("pendulum", ["kf"], runs=2, duration=0.05), interrupted=True)
+        return replace(results, interrupted=True)
 
     monkeypatch.setattr(leaderboard.experiment, "run", interrupted)
     with pytest.raises(KeyboardInterrupt):
