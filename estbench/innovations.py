@@ -37,7 +37,7 @@ def check(estimator: str, answer: Any, runs: int, m: int) -> None:
     Raises:
         EstimatorError: it is no pair of a belief and an innovation.
         DimensionError: nis or dof is not `(run,)`, or white or residual `(run, m)`, or cov
-            `(run, m, m)`; these three may be empty, and dof one number for all runs.
+            `(run, m, m)`; these three may be empty, and dof and cov the same for all runs.
     """
     pair = isinstance(answer, tuple | list) and len(answer) == 2
     if not pair or any(not hasattr(answer[1], name) for name in ("nis", "dof", "white")):
@@ -49,7 +49,8 @@ def check(estimator: str, answer: Any, runs: int, m: int) -> None:
     for name, expected in (shapes | {"cov": (runs, m, m)}).items():
         found = np.shape(getattr(answer[1], name, ()))
         none = name not in ("nis", "dof") and (0 in found or not hasattr(answer[1], name))
-        if found != expected and not none and (name, found) != ("dof", ()):
+        shared = name in ("dof", "cov") and found in (expected[1:], (1, *expected[1:]))
+        if found != expected and not none and not shared:
             raise DimensionError(
                 f"{estimator}: update returned an Innovation whose {name} has shape {found}; "
                 f"expected {expected}"

@@ -1,3 +1,5 @@
+import copy
+
 import numpy as np
 import pytest
 
@@ -141,8 +143,9 @@ def test_encoders_and_tachometers_need_no_engine():
     np.testing.assert_array_equal(encoder.known[0], [0])
     np.testing.assert_array_equal(encoder.known[1], np.eye(2 * model.nv + model.na)[:1])
     assert Plan(model, sources(model)[:1]).known is None
-    model.sensor_cutoff[0] = 0.5  # a clipped reading is not the coordinate
-    assert Plan(model, [Source.of_sensors(model, 0)]).known is None
+    clipped = copy.copy(model)  # the model itself is shared by other tests
+    clipped.sensor_cutoff[0] = 0.5  # a clipped reading is not the coordinate
+    assert Plan(clipped, [Source.of_sensors(clipped, 0)]).known is None
 
 
 def test_what_a_sensor_can_see_of_the_state():
