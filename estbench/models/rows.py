@@ -38,7 +38,7 @@ class Rows:
         self.nx = model.nq + model.nv + model.na
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
         self._batches: dict[tuple[int, mjcf.Use], Batch] = {}
-        self._models = {use: mjcf.lean(model, use) for use in get_args(mjcf.Use)}
+        self._models: dict[mjcf.Use, mujoco.MjModel] = {}
         self._varied = False
         probe = Batch(model, 1, 1)
         address = probe.state.ctypes.data
@@ -58,6 +58,8 @@ class Rows:
     def batch(self, count: int, use: mjcf.Use = "step") -> Batch:
         """The batch of `count` rows for a use, with zero forces."""
         if (count, use) not in self._batches:
+            if use not in self._models:
+                self._models[use] = mjcf.lean(self.model, use)
             batch = Batch(self._models[use], count, self.nthread)
             if use != "step":
                 batch.bind("sensordata")
@@ -67,7 +69,7 @@ class Rows:
     def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
         """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
         if not self._varied:  # the parameter may be what switches a constraint on
-            self._models, self._batches = dict.fromkeys(self._models, self.model), {}
+            self._models, self._batches = dict.fromkeys(get_args(mjcf.Use), self.model), {}
             self._varied = True
         for use in self._models:
             batch = self.batch(count, use)
