@@ -205,7 +205,7 @@ def main() -> None:
             middle = statistics.median(got)
             met = middle >= target.limit if target.least else middle <= target.limit
             print(
-                f"{target.name:62}{middle:8.2f}{min(got):8.2f}{max(got):8.2f}  "
+                f"{target.name:62}{middle:8.3f}{min(got):8.3f}{max(got):8.3f}  "
                 f"{'>=' if target.least else '<='} {target.limit:g}{target.unit} "
                 f"{'met' if met else 'NOT MET'}",
                 flush=True,

@@ -167,6 +167,6 @@ def test_the_page_answers(tmp_path):
         url = line.split()[2]
         assert b"<html" in fetch(url)
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 130
+        assert process.wait(60) == 130
     finally:
         process.kill()
