@@ -123,11 +123,11 @@ class Flawed:
         """As `Source.read`."""
         channel = self.channel
         white = self._white.draw(due) * (not self._quiet)
-        # A row has its own time; without a schedule it does not matter.
-        times = np.zeros_like(time) if channel.schedule is None else time
-        noise = np.empty_like(white)
-        for t in np.unique(times):
-            noise[times == t] = channel.coloured(white[times == t], float(t))
+        noise = channel.coloured(white, 0.0) if channel.schedule is None else np.empty_like(white)
+        if channel.schedule is not None:  # a row has its own time, most have the same
+            for t in np.unique(time):
+                rows = time == t
+                noise[rows] = channel.coloured(white[rows], float(t))
         if channel.part is None or self._state is None:
             return channel.space.plus(clean, noise), None
         draws: imperfections.Draws = {}

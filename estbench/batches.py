@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench import records, setup, streams
 from estbench.errors import EstbenchError, EstimatorError
@@ -12,8 +11,6 @@ from estbench.filtering import Live, Recorded, run_filter
 from estbench.innovations import readings
 from estbench.traces import Traces
 from estbench.truth import Trajectory, simulate
-
-Array = NDArray[np.float64]
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""

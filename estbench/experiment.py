@@ -77,9 +77,10 @@ def run(
     for name, value in (("batch_size", batch_size), ("workers", workers)):
         if value is not None and value < 1:
             raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
+    stored = dtype or "float64"
     for name, value, known in (
         ("keep", keep, ("auto", "summary", "diagonal", "full")),
-        ("dtype", dtype or "float64", ("float64", "float32")),
+        ("dtype", stored, ("float64", "float32")),
     ):
         if value not in known:
             raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
@@ -93,7 +94,7 @@ def run(
         )
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
     prepared = setup.build(resolved)
-    level, notices = _level(prepared, keep, dtype or "float64", out is not None)
+    level, notices = _level(prepared, keep, stored, out is not None)
     size = batch_size or default_batch_size(prepared, level)
     using = _pool(prepared, executor, address, workers, size * one.run_bytes(prepared, level))
     if out is None:
@@ -101,7 +102,7 @@ def run(
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
         done, failed, interrupted = _compute(prepared, batches, level, using, None, {}, progress)
         return _collect(prepared, batches, done, failed, None, interrupted)
-    target = _open(Path(out), prepared, level, size, dtype or "float64", resume, shard)
+    target = _open(Path(out), prepared, level, size, stored, resume, shard)
     for name, was, value in (("keep", target.keep, keep), ("dtype", target.dtype, dtype)):
         if value not in ("auto", None, was):
             raise StoreError(

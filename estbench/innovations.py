@@ -12,7 +12,6 @@ from estbench.lags import Lags
 from estbench.manifold import Manifold
 from estbench.partial import Rows
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

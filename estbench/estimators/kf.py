@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
 
 Array = NDArray[np.float64]
-Belief = TypeVar("Belief", bound=Gaussian)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,15 @@ def posterior_cov(form: Form, P: Array, c: Correction, H: Array, R: Array) -> Ar
     """
     if form == "symmetric":
         return P - c.reduction
-    # A component that did not arrive has a zero column in K, so H and R need no mask.
-    A = identity(P.shape[-1]) - c.gain @ H
-    cov = A @ P
-    return cov if form == "simplified" else cov @ A.mT + c.gain @ R @ c.gain.mT
+    if form == "simplified":
+        return (identity(P.shape[-1]) - c.gain @ H) @ P
+    return joseph(P, c.gain, H, R)
+
+
+def joseph(P: Array, K: Array, H: Array, R: Array) -> Array:
+    """(I - K H) P (I - K H)ᵀ + K R Kᵀ `(run, n, n)`, right for any gain K (Bishop, eq. 19).
+
+    A component that did not arrive has a zero column in K, so H and R need no mask.
+    """
+    A = identity(P.shape[-1]) - K @ H
+    return A @ P @ A.mT + K @ R @ K.mT

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from estbench.estimators.base import Gaussian, Innovation, correct, settle
 from estbench.estimators.ekf import EKF
+from estbench.estimators.linear import joseph
 from estbench.estimators.settings import names, one_of
 from estbench.linalg import symmetrize
 from estbench.models.base import Channels
@@ -65,7 +66,6 @@ class SchmidtEKF(EKF):
         PHt = belief.cov @ H.mT
         c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
         K = c.gain * self._estimated[:, None]
-        A = np.eye(len(self._estimated)) - K @ H
-        cov = A @ belief.cov @ A.mT + K @ R @ K.mT
+        cov = joseph(belief.cov, K, H, R)
         delta = c.delta * self._estimated
         return settle(self.model.space, belief, delta, symmetrize(cov), c.fault), c.innovation
