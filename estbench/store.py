@@ -147,7 +147,7 @@ class Store:
         """
         runs = slice(self.batches[batch].start, self.batches[batch].stop)
         try:
-            if not (self.folder / STORE).is_dir():
+            if not _stands(self.folder):
                 raise FileNotFoundError(errno.ENOENT, "the store was deleted")
             cost = {label: float(r["cpu_time"].sum()) for label, r in records.items()}
             (self.folder / COSTS / f"{batch}.json").write_text(json.dumps(cost), encoding="utf-8")
@@ -296,11 +296,16 @@ def _remove(folder: Path, parents: Sequence[Path]) -> None:
             parent.rmdir()  # refused, and so kept, if something else lies in it
 
 
+def _stands(folder: Path) -> bool:
+    """Whether its store is there, and not only folders that a write under way made again."""
+    return (folder / STORE / "zarr.json").is_file()
+
+
 def _unwritable(folder: Path, error: OSError) -> StoreError:
     return StoreError(
         f"{folder} cannot be written: {error.strerror or error}; what is finished is kept there, "
         "free the disk and --resume, or choose another --out"
-        if folder.exists()
+        if _stands(folder)
         else f"{folder} cannot be written: {error.strerror or error}; choose another --out"
     )
 
