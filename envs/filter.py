@@ -19,8 +19,15 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+def quiet() -> np.errstate:
+    """No warnings of numpy about numbers that are not finite."""
+    return np.errstate(invalid="ignore", over="ignore", divide="ignore")
+
+
 class FilterBank:
     """The beliefs of `rows` robots, and what became of them in the last step.
+
+    A row that breaks down is marked: call the methods where numpy warns of nothing (`quiet`).
 
     Args:
         estimator: any object of the estimators' protocol.
@@ -115,8 +122,7 @@ class FilterBank:
 
     def settle(self) -> None:
         """Take mean and covariance from the belief after the updates of a step."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            mean, cov = self.estimator.mean(self.belief), self.estimator.cov(self.belief)
+        mean, cov = self.estimator.mean(self.belief), self.estimator.cov(self.belief)
         if not np.count_nonzero(self.failed) and surely_finite(mean, cov):
             self.estimate, self.cov = np.array(mean), np.array(cov)
             return
@@ -136,9 +142,8 @@ class FilterBank:
             singular or the filter has failed; innovation `(row, m)`; nis and nis_dof `(row,)`;
             diverged `(row,)`: the filter has failed, or NEES/n is above the threshold.
         """
-        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-            error = self.space.minus(truth, self.estimate)
-            nees = self._nees(error)
+        error = self.space.minus(truth, self.estimate)
+        nees = self._nees(error)
         diverged = self.failed | (nees > self._threshold * self.space.n)
         if np.count_nonzero(self.failed) or not surely_finite(nees):
             bad = ~np.isfinite(nees) | self.failed
@@ -183,8 +188,7 @@ class FilterBank:
 
     def _guard(self, verb: str, call: Any) -> Any:
         try:
-            with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-                return call()
+            return call()
         except EstbenchError:
             raise
         except Exception as error:  # a user's estimator may raise anything

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.envs.filter import FilterBank
+from estbench.envs.filter import FilterBank, quiet
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.readings import Readings
 
@@ -49,7 +49,8 @@ class Observer:
         if self.bank is not None:
             every = np.zeros(len(mask), np.uint64)
             every[mask] = keys
-            self.bank.reset(mask, mean, cov, every)
+            with quiet():
+                self.bank.reset(mask, mean, cov, every)
 
     def begin(self) -> None:
         """A new step of the environment begins."""
@@ -66,21 +67,21 @@ class Observer:
             mask: rows for which time passes; None is all.
         """
         u = self._clamp(u)
-        if self.bank is not None:
-            self.bank.predict(u, self.t, steps * self._timestep, mask)
-        arrived = self.readings.take(steps, x, u, mask)
-        self.t = self.readings.latest * self._timestep
-        if self.bank is not None:
-            self.bank.fuse(arrived, u, self.t)
-
-    def settle(self) -> None:
-        """The step of the environment is over."""
-        if self.bank is not None:
-            self.bank.settle()
+        with quiet():
+            if self.bank is not None:
+                self.bank.predict(u, self.t, steps * self._timestep, mask)
+            arrived = self.readings.take(steps, x, u, mask)
+            self.t = self.readings.latest * self._timestep
+            if self.bank is not None:
+                self.bank.fuse(arrived, u, self.t)
+                self.bank.settle()
 
     def info(self, x: Array) -> dict[str, Any]:
         """What `info` says of every row: see `FilterBank.info`; without a filter, the truth."""
-        return {"truth": x.copy()} if self.bank is None else self.bank.info(x)
+        if self.bank is None:
+            return {"truth": x.copy()}
+        with quiet():
+            return self.bank.info(x)
 
     def _clamp(self, u: Array) -> Array:
         """As `models.mjcf.clamp`, the limits taken once."""

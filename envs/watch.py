@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench import random
 from estbench.envs.adopt import adopt, altered, mujoco_parts
 from estbench.envs.errors import EnvError
-from estbench.envs.filter import FilterBank
+from estbench.envs.filter import FilterBank, quiet
 from estbench.envs.keys import Keys, Mask, purpose
 from estbench.envs.observer import Observer
 from estbench.envs.readings import Readings
@@ -109,16 +109,16 @@ class Watch:
         """Physics steps have passed under u `(row, nu)`, up to the true states x `(row, nx)`."""
         self.observer.begin()
         self.observer.advance(nstep, x, u, mask)
-        self.observer.settle()
 
     def _try(self, bank: FilterBank, readings: Readings, rows: int) -> None:
         """One prediction from the model's rest, to see that the estimator can use this model."""
         rest = np.concatenate([self.data.model.qpos0, np.zeros(self.space.nx - self.data.model.nq)])
         mean = np.repeat(rest[None], rows, axis=0)
-        bank.reset(np.ones(rows, bool), mean, self._cov)
         u = np.zeros((rows, self.data.model.nu))
-        bank.predict(u, 0.0, self.frame_skip * self._timestep)
-        bank.settle()
+        with quiet():
+            bank.reset(np.ones(rows, bool), mean, self._cov)
+            bank.predict(u, 0.0, self.frame_skip * self._timestep)
+            bank.settle()
         if bank.failed.any():
             zero = [n for n, s in zip(self.space.names, self._std) if s == 0]
             remedy = (

@@ -147,7 +147,6 @@ class World:
         for _ in range(self.setup.plant.nstep // self._stride):
             x = self.truth.step(self.u, self._stride, mask)
             self.observer.advance(self._stride, x, self.u, mask)
-        self.observer.settle()
         reward, ended = self.task.reward(self.truth.x, self.u)
         late = ~ended & (self.elapsed >= self.task.steps)
         if mask is not None:

@@ -117,18 +117,19 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         """
         if not self._running:
             raise EnvError("step() after the end of an episode, or before the first; call reset()")
-        if isinstance(self.action_space, gym.spaces.Box):
-            check(np.asarray(action, np.float64), self.action_space, self.action_space.shape)
+        space = self.action_space  # asked once: every wrapper in between passes it on
+        if isinstance(space, gym.spaces.Box):
+            check(np.asarray(action, np.float64), space, space.shape)
         _, reward, terminated, truncated, info = self.env.step(action)
         self._running = not (terminated or truncated)
         x, u = self._state(), np.array(self._data.ctrl)[None]
         nstep = self._watch.steps(self._data.time - self._time)
         self._time = self._data.time
         bank = self._watch.observer.bank
-        before = None if bank is None else bank.estimate[0]
+        before = None if bank is None else bank.estimate
         self._watch.step(nstep, x, u)
         if self._twin is not None and bank is not None and before is not None:
-            observation = self._twin.step(before, u[0], nstep, bank.estimate[0], self._time)
+            observation = self._twin.step(before[0], u[0], nstep, bank.estimate[0], self._time)
         else:
             observation = self._observe(x)[0].copy()
         return (

@@ -1,7 +1,8 @@
 """What a filter has received so far, filed under the instant at which it is to be fused.
 
 Readings of several channels for one instant update jointly, whenever they came; a reading is fused
-once. A second reading of a channel for the same instant and run opens a further layer.
+once. Of several readings of a channel for one instant a run keeps the first in the first layer of
+measurements, the second in the second: as few updates as there are readings.
 """
 
 from collections.abc import Mapping
@@ -26,7 +27,7 @@ class Joint:
     mask: Mask | None
 
 
-Layer = dict[str, tuple[Array, Mask | None]]
+Layer = dict[str, tuple[Array, Mask]]
 
 
 class Inbox:
@@ -45,12 +46,18 @@ class Inbox:
         """File a delivery under the instant at which it is to be fused."""
         self._joints.pop(instant, None)
         layers = self._filed.setdefault(instant, [])
+        channel, y = delivery.channel, delivery.y
+        came = np.ones(len(y), bool) if delivery.mask is None else delivery.mask
         for layer in layers:
-            merged = _merge(layer.get(delivery.channel), delivery.y, delivery.mask)
-            if merged is not None:
-                layer[delivery.channel] = merged
+            if channel not in layer:
+                layer[channel] = y, came
                 return
-        layers.append({delivery.channel: (delivery.y, delivery.mask)})
+            first, had = layer[channel]
+            layer[channel] = np.where(had[:, None], first, y), had | came
+            came = came & had
+            if not came.any():
+                return
+        layers.append({channel: (y, came)})
 
     def at(self, instant: int) -> list[Joint]:
         """The joint measurements of an instant, layer after layer."""
@@ -70,23 +77,10 @@ class Inbox:
         channels = tuple(name for name in self.spaces if name in layer)
         parts = [layer[name] for name in channels]
         y = np.concatenate([part for part, _ in parts], axis=1) if len(parts) > 1 else parts[0][0]
-        if all(mask is None for _, mask in parts):
+        if all(came.all() for _, came in parts):
             return Joint(channels, y, None)
         columns = [
-            np.broadcast_to(True if mask is None else mask[:, None], (len(y), self.spaces[name].n))
-            for name, (_, mask) in zip(channels, parts)
+            np.broadcast_to(came[:, None], (len(y), self.spaces[name].n))
+            for name, (_, came) in zip(channels, parts)
         ]
         return Joint(channels, y, np.concatenate(columns, axis=1))
-
-
-def _merge(
-    old: tuple[Array, Mask | None] | None, y: Array, mask: Mask | None
-) -> tuple[Array, Mask | None] | None:
-    """Old and new readings of one channel together, or None where a run would have two."""
-    if old is None:
-        return y, mask
-    before, had = old
-    if had is None or mask is None or (had & mask).any():
-        return None
-    both = had | mask
-    return np.where(mask[:, None], y, before), None if both.all() else both

@@ -64,6 +64,18 @@ def test_a_second_reading_of_a_run_opens_a_layer_and_loses_nothing():
     np.testing.assert_array_equal(second.y[:, 0], [3, 2, 2])
 
 
+def test_readings_that_overlap_in_some_runs_fill_as_few_layers_as_a_run_has_readings():
+    inbox = Inbox(SPACES)
+    inbox.add(4, delivery("a", 1, [1, 1, 0]))
+    inbox.add(4, delivery("a", 2, [0, 1, 1]))
+    inbox.add(4, delivery("a", 3, [1, 0, 1]))
+    first, second = inbox.at(4)
+    assert first.mask is None
+    assert second.mask is None
+    np.testing.assert_array_equal(first.y[:, 0], [1, 1, 2])
+    np.testing.assert_array_equal(second.y[:, 0], [3, 2, 3])
+
+
 def test_forgetting():
     inbox = Inbox(SPACES)
     for instant in range(5):
