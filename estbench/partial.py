@@ -17,13 +17,13 @@ DIVISIBLE = {"mean", "cov", "factor", "fault"}
 def some(belief: Any, chosen: NDArray[np.bool_]) -> Rows:
     """The rows to work on where those chosen `(run,)` are to change.
 
-    All, where that is cheaper or the belief cannot be divided: it may share numbers between runs.
+    All, where they would be most of them or the belief cannot be divided: it may share numbers between runs.
     Otherwise those chosen, some of them repeated: their count is a power of two, so that a model
     meets few counts of rows (MuJoCo keeps memory for each).
     """
     rows = np.flatnonzero(chosen)
     count = 1 << max(0, len(rows) - 1).bit_length()
-    if 2 * count > len(chosen) or not _divisible(belief):
+    if 8 * count > 5 * len(chosen) or not _divisible(belief):
         return ALL
     return np.resize(rows, count) if len(rows) else rows
 
