@@ -17,7 +17,8 @@ DIVISIBLE = {"mean", "cov", "factor", "fault"}
 def some(belief: Any, chosen: NDArray[np.bool_]) -> Rows:
     """The rows to work on where those chosen `(run,)` are to change.
 
-    All, where they would be most of them or the belief cannot be divided: it may share numbers between runs.
+    All, where it would be most of them, or where the belief cannot be divided: it may share numbers
+    between runs.
     Otherwise those chosen, some of them repeated: their count is a power of two, so that a model
     meets few counts of rows (MuJoCo keeps memory for each).
     """
