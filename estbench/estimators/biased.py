@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators import registry
-from estbench.estimators.base import Estimator, Innovation
+from estbench.estimators.base import Estimator
+from estbench.estimators.over import OverFilter
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.settings import names, table
 from estbench.models.augmented import Augmented
-from estbench.models.base import Channels, Model
+from estbench.models.base import Model
 
 Array = NDArray[np.float64]
 PerName = float | Sequence[float] | dict[str, float]
 
 
 @dataclass(frozen=True)
-class BiasFilter:
+class BiasFilter(OverFilter):
     """A Gaussian filter on the model augmented with biases; the answer is the original state's.
 
     Each quantity is a number for all, a list, or {pattern: number} over the measurement coordinates
@@ -67,22 +68,6 @@ class BiasFilter:
     def init(self, mean: Array, cov: Array) -> Any:
         """Start from mean `(run, nx)` and cov `(run, n, n)`, with zero biases."""
         return self._filter.init(*self._augmented.augment(mean, cov))
-
-    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
-        """The base filter's prediction."""
-        return self._filter.predict(belief, u, t, dt)
-
-    def update(
-        self,
-        belief: Any,
-        y: Array,
-        u: Array,
-        t: float,
-        channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
-    ) -> tuple[Any, Innovation]:
-        """The base filter's update."""
-        return self._filter.update(belief, y, u, t, channels, mask)
 
     def mean(self, belief: Any) -> Array:
         """x̂ `(run, nx)` without the biases."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.estimators.base import Correction, Gaussian, Innovation, correct, settle
-from estbench.linalg import identity, symmetrize
+from estbench.linalg import identity, pad_absent, symmetrize
 from estbench.manifold import Manifold
 
 Array = NDArray[np.float64]
@@ -61,3 +61,19 @@ def joseph(P: Array, K: Array, H: Array, R: Array) -> Array:
     """
     A = identity(P.shape[-1]) - K @ H
     return A @ P @ A.mT + K @ R @ K.mT
+
+
+def without_absent(
+    residual: Array, H: Array, R: Array, mask: NDArray[np.bool_] | None
+) -> tuple[Array, Array, Array]:
+    """ν, H and R in which what did not arrive predicts zero, reads zero and has noise of its own.
+
+    Args:
+        residual: ν `(run, m)`.
+        H: `(run, m, n)`.
+        R: `(run, m, m)`.
+        mask: `(run, m)`, True where a component arrived; None means everywhere.
+    """
+    if mask is None or mask.all():
+        return residual, H, R
+    return np.where(mask, residual, 0.0), np.where(mask[..., None], H, 0.0), pad_absent(R, mask)

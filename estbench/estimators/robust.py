@@ -9,9 +9,9 @@ from scipy.special import chdtri
 
 from estbench.estimators.base import Gaussian, Innovation, correct, marked
 from estbench.estimators.ekf import EKF
-from estbench.estimators.linear import linear_update
+from estbench.estimators.linear import linear_update, without_absent
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, pad_absent, solve_lower, symmetrize
+from estbench.linalg import cholesky, solve_lower, symmetrize
 from estbench.models.base import Channels
 
 Array = NDArray[np.float64]
@@ -71,11 +71,7 @@ class RobustEKF(EKF):
         residual = output.minus(y, predicted)
         m = output.n
         R = np.broadcast_to(self.model.measurement_noise(t, channels), (len(y), m, m))
-        if mask is not None and not mask.all():
-            # What did not arrive predicts zero, reads zero, and has noise of its own.
-            R = pad_absent(R, mask)
-            H = np.where(mask[..., None], H, 0.0)
-            residual = np.where(mask, residual, 0.0)
+        residual, H, R = without_absent(residual, H, R, mask)
         PHt = belief.cov @ H.mT
         spread = symmetrize(H @ PHt)
         first = correct(residual, spread + R, PHt, mask)

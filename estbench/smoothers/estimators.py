@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.base import Estimator, Gaussian, Innovation, Passage
+from estbench.estimators.base import Estimator, Gaussian, Passage
+from estbench.estimators.over import OverFilter
 from estbench.estimators.settings import in_range, table, whole
-from estbench.models.base import Channels, Model
+from estbench.models.base import Model
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class FilterThenSmooth:
+class FilterThenSmooth(OverFilter):
     """What the smoothers share: `base` filters, a subclass's `smooth` looks back.
 
     Innovations, NIS and the estimate that a controller sees are the filter's; errors, NEES and RMSE
@@ -50,22 +51,6 @@ class FilterThenSmooth:
     def init(self, mean: Array, cov: Array) -> Any:
         """The filter's start."""
         return self._filter.init(mean, cov)
-
-    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
-        """The filter's prediction."""
-        return self._filter.predict(belief, u, t, dt)
-
-    def update(
-        self,
-        belief: Any,
-        y: Array,
-        u: Array,
-        t: float,
-        channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
-    ) -> tuple[Any, Innovation]:
-        """The filter's update."""
-        return self._filter.update(belief, y, u, t, channels, mask)
 
     def mean(self, belief: Any) -> Array:
         """x̂ `(run, nx)`, filtered or smoothed."""

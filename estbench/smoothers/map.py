@@ -15,7 +15,8 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from estbench.estimators.base import Fault, Gaussian, Measurement, marked
-from estbench.linalg import pad_absent, quadratic_form, symmetrize
+from estbench.estimators.linear import without_absent
+from estbench.linalg import quadratic_form, symmetrize
 from estbench.manifold import carry
 from estbench.models.base import Model
 from estbench.smoothers.rts import check_lengths
@@ -170,10 +171,7 @@ def _linearize(
         predicted, H = model.measurement_jacobian(x[:, k], u, times[k], channels)
         R = np.broadcast_to(model.measurement_noise(times[k], channels), (runs, m, m))
         v = output.minus(y, predicted)
-        if mask is not None and not mask.all():
-            # What did not arrive predicts zero, reads zero, and has noise of its own.
-            R = pad_absent(R, mask)
-            H, v = np.where(mask[..., None], H, 0.0), np.where(mask, v, 0.0)
+        v, H, R = without_absent(v, H, R, mask)
         H, _ = carry(output, v, H, H)
         residuals.append(v)
         noise.append((row, output.transport(R, v)))

@@ -1,0 +1,33 @@
+"""What an estimator shares that leaves prediction and update to a filter of its own."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.base import Estimator, Innovation
+from estbench.models.base import Channels
+
+Array = NDArray[np.float64]
+
+
+class OverFilter:
+    """Predicts and updates as its `_filter` does; a belief is that filter's."""
+
+    _filter: Estimator
+
+    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+        """The filter's prediction."""
+        return self._filter.predict(belief, u, t, dt)
+
+    def update(
+        self,
+        belief: Any,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Any, Innovation]:
+        """The filter's update."""
+        return self._filter.update(belief, y, u, t, channels, mask)
