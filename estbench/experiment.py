@@ -1,23 +1,19 @@
 """Monte Carlo: many runs in batches on workers, interruptible, every finished run kept."""
 
-import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
 from estbench import batches as one
-from estbench import executors, records, setup, statistics, store, worker
+from estbench import dispatch, executors, records, setup, statistics, store
 from estbench.batches import default_batch_size, run_batch, traced
+from estbench.dispatch import Progress
 from estbench.errors import ExecutorError, Interrupted, StoreError
 from estbench.results import Results
 from estbench.scenario import Chosen, Scenario, resolve
 
 __all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
 
-Progress = Callable[[int, int], None]
-"""Called with the runs done and the runs in all."""
 Say = Callable[[str], None]
 """Called with a line that is better read before the runs are computed than after."""
 
@@ -100,7 +96,9 @@ def run(
     if out is None:
         count = resolved.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
-        done, failed, interrupted = _compute(prepared, batches, level, using, None, {}, progress)
+        done, failed, interrupted = dispatch.compute(
+            prepared, dict(enumerate(batches)), level, using, None, {}, progress
+        )
         return _collect(prepared, batches, done, failed, None, interrupted)
     target = _open(Path(out), prepared, level, size, stored, resume, shard)
     for name, was, value in (("keep", target.keep, keep), ("dtype", target.dtype, dtype)):
@@ -117,7 +115,7 @@ def run(
         if mixed and wanted and say is not None:
             say(mixed)
         try:
-            done, failed, interrupted = _compute(
+            done, failed, interrupted = dispatch.compute(
                 prepared, wanted, target.keep, using, target, done, progress
             )
             if interrupted:  # a worker may have written what it had no time to report
@@ -202,62 +200,6 @@ def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]]
     return done, corrupted
 
 
-def _compute(
-    prepared: setup.Setup,
-    batches: Mapping[int, range] | Sequence[range],
-    keep: str,
-    using: executors.Pool,
-    target: store.Store | None,
-    done: dict[int, dict[str, records.Record]],
-    progress: Progress | None,
-) -> tuple[dict[int, dict[str, records.Record]], dict[int, Exception], bool]:
-    """Compute batches: the summary records, what failed, and whether Ctrl-C came."""
-    chosen = dict(enumerate(batches)) if not isinstance(batches, Mapping) else dict(batches)
-    toml = prepared.scenario.to_toml()
-    folder = None if target is None else str(target.folder.resolve())
-    tasks = [worker.Task(toml, keep, folder, i, (r.start, r.stop)) for i, r in chosen.items()]
-    failed: dict[int, Exception] = {}
-    total, finished = sum(map(len, chosen.values())), 0
-    stopping = threading.Event()
-    work = worker.work
-    if using.local:
-        work = partial(work, stop=stopping.is_set, prepared=prepared)
-    try:
-        with closing(executors.execute(work, tasks, using, stopping.set)) as outcomes:
-            for outcome in outcomes:
-                if isinstance(outcome, executors.Failed):
-                    failed[outcome.task.index] = outcome.error
-                    _give_up(outcome.error, target, done, len(failed))
-                    continue
-                task, result = outcome
-                if result is None:
-                    continue
-                done[task.index] = result
-                finished += len(chosen[task.index])
-                if progress is not None:
-                    progress(finished, total)
-    except KeyboardInterrupt:
-        return done, failed, True
-    return done, failed, False
-
-
-def _give_up(
-    error: Exception,
-    target: store.Store | None,
-    done: Mapping[int, dict[str, records.Record]],
-    failed: int,
-) -> None:
-    """Raise the error of a batch that says that the others will fail too."""
-    if isinstance(error, StoreError) and target is not None:
-        runs = sum(len(target.batches[i]) for i in done)
-        raise StoreError(
-            f"{error} ({runs} of {sum(map(len, target.batches))} runs are finished)"
-        ) from None
-    # Nothing works: the input is at fault, or the machine, not one batch.
-    if not done and (failed > 2 or not isinstance(error, ExecutorError)):
-        raise error
-
-
 def _collect(
     prepared: setup.Setup,
     batches: Sequence[range],
@@ -293,21 +235,9 @@ def _collect(
         notices=(
             *prepared.notices,
             *notices,
-            *_missing(batches, failed),
+            *dispatch.missing(batches, failed),
         ),
         folder=target.folder if target is not None else None,
         interrupted=interrupted,
         failed=len(failed),
     )
-
-
-def _missing(batches: Sequence[range], failed: Mapping[int, Exception]) -> list[str]:
-    """What failed and why: a line for batches that follow each other and have the same reason."""
-    spans: list[tuple[int, int, str]] = []
-    for i, error in sorted(failed.items()):
-        runs, reason = batches[i], str(error)
-        if spans and spans[-1][1:] == (runs.start, reason):
-            spans[-1] = (spans[-1][0], runs.stop, reason)
-        else:
-            spans.append((runs.start, runs.stop, reason))
-    return [f"runs {start}-{stop - 1} are missing: {reason}" for start, stop, reason in spans]

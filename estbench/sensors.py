@@ -3,19 +3,18 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import datasheet, schedules, streams, users
+from estbench import channel_source, datasheet, schedules, streams
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.imperfections import Imperfections
 from estbench.manifold import Manifold
 from estbench.models import layout
 from estbench.models.mujoco import whole_steps
-from estbench.models.reading import Source, StateFunction
+from estbench.models.reading import Source
 from estbench.sections import BelievedChannelSection, ChannelSection
 from estbench.timing import Native, Timing
 
@@ -130,7 +129,7 @@ def build(
     channels, notices = [], _idle(sections, use)
     for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
-        source, kind = _source(name, section, model, names)
+        source, kind = channel_source.build(name, section, model, names)
         timing = _timing(
             section, where, model.opt.timestep, frame_skip,
             [(native or {}).get(names[i], Native()) for i in source.sensors],
@@ -223,60 +222,6 @@ def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Ar
     given = ChannelSection(noise=section.noise, cov=section.cov)
     where, none = f"filter.channels.{channel.name}", np.zeros(channel.space.n)
     return datasheet.covariance(given, where, channel.space, none, 1.0)[0]
-
-
-def _source(
-    name: str, section: ChannelSection, model: mujoco.MjModel, names: Sequence[str]
-) -> tuple[Source, str]:
-    """What the channel reads, and its type."""
-    where = f"channels.{name}"
-    given = [key for key in ("of", "function", "add") if getattr(section, key) is not None]
-    if len(given) > 1:
-        raise ScenarioError(f"{where} has {' and '.join(given)}; give one of them")
-    if section.unit is not None and section.function is None:
-        raise ScenarioError(f"{where}.unit is for a function; a sensor has its own")
-    if section.axes is not None and section.function is not None:
-        raise ScenarioError(
-            f"{where}.axes is for sensors; let the function return what is measured"
-        )
-    if section.function is not None:
-        return _function(name, section.function, section.unit or "1", model), "function"
-    members = [name] if section.of is None else section.of
-    if len(set(members)) < max(1, len(members)):
-        raise ScenarioError(f"{where}.of is {section.of}; name each of its sensors once")
-    indices = [names.index(member) for member in members]
-    if section.axes is not None:
-        space = layout.sensor_space(model, indices)
-        if not space.flat:
-            raise ScenarioError(f"{where}.axes: a quaternion has no single axes")
-        distinct = len(set(section.axes)) == len(section.axes) > 0
-        if not distinct or max(section.axes) >= space.n:
-            raise ScenarioError(
-                f"{where}.axes is {section.axes}; use some of 0 to {space.n - 1}, each once"
-            )
-    kinds = " + ".join(layout.sensor_type(model, i) for i in indices)
-    return Source.of_sensors(model, *indices, axes=section.axes), kinds
-
-
-def _function(name: str, target: str, unit: str, model: mujoco.MjModel) -> Source:
-    """A user's function of the state; how many numbers it returns is found by calling it."""
-    where = f"channels.{name}.function"
-    called = cast(StateFunction, users.function(target, where))
-    x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
-    x, u = np.tile(x, (2, 1)), np.zeros((2, model.nu))
-    try:
-        width = np.shape(called(x, u, 0.0))[-1]
-    except Exception as error:  # a user's function may raise anything
-        raise ScenarioError(
-            f"{where} raised {type(error).__name__} for x of shape {x.shape}: {error}; it is "
-            "called as h(x, u, t) and returns (..., m)"
-        ) from None
-    suffixes = layout.suffixes(width)
-    space = Manifold(tuple(name + s for s in suffixes), (unit,) * width)
-    source = Source(space, function=called, name=where)
-    source.call(x, u, 0.0)
-    source.call(np.tile(x, (3, 1, 1)), u[:1].repeat(3, axis=0), 0.0)
-    return source
 
 
 def _per_axis(model: mujoco.MjModel, source: Source, values: Array, default: float = 0.0) -> Array:

@@ -16,7 +16,7 @@ import pytest
 import zarr
 
 import estbench
-from estbench import cluster, executors, experiment, store
+from estbench import cluster, dispatch, executors, store
 from estbench.errors import ExecutorError, StoreError
 from estbench.estimators.ekf import EKF
 from tests.stores import run, same
@@ -302,7 +302,7 @@ def test_a_cluster_that_is_lost_leaves_what_was_finished(whole, tmp_path):
 def test_missing_runs_of_one_reason_are_one_line():
     batches = [range(i, i + 5) for i in range(0, 30, 5)]
     failed = {i: ExecutorError("a" if i < 4 else "b") for i in (0, 2, 3, 4)}
-    lines = experiment._missing(batches, failed)
+    lines = dispatch.missing(batches, failed)
     assert lines == [
         "runs 0-4 are missing: a", "runs 10-19 are missing: a", "runs 20-24 are missing: b"
     ]  # fmt: skip
