@@ -68,26 +68,8 @@ def run(
     Raises:
         EstbenchError: anything wrong with the input, before anything is written.
     """
-    if shard is not None and not 1 <= shard[0] <= shard[1]:
-        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
-    for name, value in (("batch_size", batch_size), ("workers", workers)):
-        if value is not None and value < 1:
-            raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
     stored = dtype or "float64"
-    for name, value, known in (
-        ("keep", keep, ("auto", "summary", "diagonal", "full")),
-        ("dtype", stored, ("float64", "float32")),
-    ):
-        if value not in known:
-            raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
-    for name, given in (("resume", resume), ("shard", shard is not None)):
-        if given and out is None:
-            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
-    if address is not None and executor != "dask":
-        raise ExecutorError(
-            f"address is {address!r}, that of a dask scheduler, but executor is {executor!r}; add "
-            "--executor dask, or leave the address out"
-        )
+    _check(out, keep, stored, resume, shard, executor, address, workers, batch_size)
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
     prepared = setup.build(resolved)
     level, notices = _level(prepared, keep, stored, out is not None)
@@ -134,6 +116,39 @@ def run(
             *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
         ],
     )  # fmt: skip
+
+
+def _check(
+    out: str | Path | None,
+    keep: str,
+    dtype: str,
+    resume: bool,
+    shard: tuple[int, int] | None,
+    executor: str,
+    address: str | None,
+    workers: int | None,
+    batch_size: int | None,
+) -> None:
+    """Refuse arguments that are wrong by themselves, or that exclude each other."""
+    if shard is not None and not 1 <= shard[0] <= shard[1]:
+        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+    for name, value in (("batch_size", batch_size), ("workers", workers)):
+        if value is not None and value < 1:
+            raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
+    for name, value, known in (
+        ("keep", keep, ("auto", "summary", "diagonal", "full")),
+        ("dtype", dtype, ("float64", "float32")),
+    ):
+        if value not in known:
+            raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
+    for name, given in (("resume", resume), ("shard", shard is not None)):
+        if given and out is None:
+            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
+    if address is not None and executor != "dask":
+        raise ExecutorError(
+            f"address is {address!r}, that of a dask scheduler, but executor is {executor!r}; add "
+            "--executor dask, or leave the address out"
+        )
 
 
 def _level(
