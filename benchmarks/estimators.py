@@ -9,7 +9,8 @@ import sys
 
 from estbench import experiment
 from estbench.estimators import registry
-from estbench.results import Results, interval
+from estbench.quantity import quantity
+from estbench.results import Results
 
 ROBOTS = ("pendulum", "cartpole")
 
@@ -21,7 +22,7 @@ def table(results: Results) -> list[str]:
     columns += ["µs/run-step"]
     lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     for s in results.summaries:
-        cells = [f"`{s.label}`", str(s.verdict), interval(s.anees), f"{s.diverged:.0%}"]
+        cells = [f"`{s.label}`", str(s.verdict), quantity(s.anees), f"{s.diverged:.0%}"]
         cells += [f"{rmse.value:.3g}" for rmse in s.rmse]
         cells += [f"{s.cost:.0f}"]
         lines.append("| " + " | ".join(cells) + " |")

@@ -1,13 +1,11 @@
 """The comparison of `estbench control` as a table."""
 
-import numpy as np
-from rich import box
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
-from estbench.consistency import Interval
+from estbench.columns import Column, Columns
 from estbench.envs.control import RAW, TRUTH, Comparison
+from estbench.quantity import quantity
 
 
 def render(comparison: Comparison) -> Group:
@@ -17,19 +15,16 @@ def render(comparison: Comparison) -> Group:
         f"{comparison.scenario}: {comparison.controller} on truth, estimates and raw readings, "
         f"{runs} runs x {comparison.duration:g} s, seed {comparison.seed}"
     )
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    table.add_column("controller sees", no_wrap=True)
-    for heading in ("cost", "minus truth", "minus raw", "failed"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for source in comparison.sources:
-        label, failures = source.label, int(source.failed.sum())
-        table.add_row(
-            label,
-            number(comparison.cost(label)),
-            "" if label == TRUTH else number(comparison.difference(label, TRUTH)),
-            "" if label == RAW else number(comparison.difference(label, RAW)),
-            Text(f"{failures}/{runs}", style="red" if failures else ""),
-        )
+    labels = tuple(s.label for s in comparison.sources)
+    failures = (int(s.failed.sum()) for s in comparison.sources)
+    columns = (
+        Column("cost", tuple(quantity(comparison.cost(label)) for label in labels)),
+        Column("minus truth", _differences(comparison, labels, TRUTH)),
+        Column("minus raw", _differences(comparison, labels, RAW)),
+        Column("failed", tuple(Text(f"{n}/{runs}", style="red" if n else "") for n in failures)),
+    )
+    keys = (Column("controller sees", labels, "left"),)
+    table = Columns(keys, tuple((column,) for column in columns))
     caption = (
         "cost is the task's, mean a step, of the runs that did not fail. minus truth, minus raw:\n"
         "paired differences (same robot, same noise) over the runs that failed with neither.\n"
@@ -39,12 +34,11 @@ def render(comparison: Comparison) -> Group:
     return Group(Text(title, style="bold"), table, Text(caption, style="dim italic"))
 
 
-def number(i: Interval) -> str:
-    """`0.0123 ± 0.0004`: as many digits as the half-width has meaning; `-` for no run at all."""
-    if not np.isfinite(i.value):
-        return "-"
-    half = 0.5 * (i.high - i.low)
-    if not np.isfinite(half) or half <= 0:
-        return f"{i.value:.3g}"
-    decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 9))
-    return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
+def _differences(
+    comparison: Comparison, labels: tuple[str, ...], reference: str
+) -> tuple[str, ...]:
+    """Cells; there is none of the reference from itself."""
+    return tuple(
+        "" if label == reference else quantity(comparison.difference(label, reference))
+        for label in labels
+    )

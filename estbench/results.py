@@ -13,6 +13,7 @@ from rich.text import Text
 
 from estbench.columns import Column, Columns
 from estbench.consistency import Interval, Verdict
+from estbench.quantity import LARGE, quantity
 from estbench.records import Record
 from estbench.sections import Scenario
 from estbench.statistics import Summary
@@ -20,8 +21,6 @@ from estbench.statistics import Summary
 Array = NDArray[np.float64]
 
 WIDTH = 100
-LARGE = 1e5
-"""Numbers from here on are shown by their power of ten."""
 COLOURS = {
     Verdict.CONSISTENT: "green",
     Verdict.OVERCONFIDENT: "red",
@@ -135,10 +134,10 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
         _column(
             "verdict", (Text(str(s.verdict), style=COLOURS[s.verdict]) for s in summaries), "left"
         ),
-        _column("NEES/n", (interval(s.anees) for s in summaries)),
+        _column("NEES/n", (quantity(s.anees) for s in summaries)),
         _column("median", (_short(s.anees_median) for s in summaries)),
-        _column("NIS/m", (interval(s.anis) for s in summaries)),
-        _column("lag-one", (interval(s.lag_one) for s in summaries)),
+        _column("NIS/m", (quantity(s.anis) for s in summaries)),
+        _column("lag-one", (quantity(s.lag_one) for s in summaries)),
         _column("diverged", (f"{s.diverged:.1%}" for s in summaries)),
         Column("µs/run-step", tuple(f"{s.cost:.3g}" for s in summaries), narrow="µs/run\n-step"),
     )
@@ -146,7 +145,7 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
         Columns(columns[:1], tuple((column,) for column in columns[1:])),
         Text(
             "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
-            f"filter; ± is the {level:.0%} interval across runs; cost is of one core.",
+            f"filter; ± and brackets: the {level:.0%} interval across runs; cost is of one core.",
             style="dim",
         ),
     )
@@ -193,27 +192,6 @@ def _late(summaries: tuple[Summary, ...]) -> list[str]:
         for s in summaries
         if s.late
     ]
-
-
-def interval(i: Interval) -> str:
-    """`1.02 ± 0.03`, with as many decimals as the half-width has meaning.
-
-    A lopsided one is `12 [3.1, 120]`: 12 ± 58 would hold 1, and the interval does not.
-    """
-    half = 0.5 * (i.high - i.low)
-    if not np.isfinite(half):
-        return f"{i.value:.3g}"
-    if 2 * half > 2.5 * min(i.value - i.low, i.high - i.value):  # one side 1.5 times the other
-        return f"{_two_digits(i.value)} [{_two_digits(i.low)}, {_two_digits(i.high)}]"
-    if max(abs(i.value), half) >= LARGE:
-        return f"{i.value:.2e} ± {half:.1e}"
-    decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 3)) if half > 0 else 3
-    return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
-
-
-def _two_digits(x: float) -> str:
-    rounded = float(f"{x:.1e}")
-    return f"{rounded:g}" if abs(rounded) < LARGE else f"{rounded:.1e}"
 
 
 def _short(x: float) -> str:

@@ -1,11 +1,8 @@
-import numpy as np
 import pytest
 from rich.console import Console
 
 from estbench import experiment
 from estbench.columns import Column, Columns, fit
-from estbench.consistency import Interval
-from estbench.results import interval
 
 NAME = "an_estimator/with_a_long_name"
 KEY = (Column("name", (NAME, "ekf"), "left"),)
@@ -71,19 +68,3 @@ def test_long_labels_in_the_tables_of_results():
         rows = [line for line in lines.splitlines() if line.startswith(label)]
         assert rows
         assert lines.count(label) == len(rows) + 1  # and the heading of its errors
-
-
-def test_a_lopsided_interval_shows_its_ends():
-    assert interval(Interval(12.34, 3.12, 119.6)) == "12 [3.1, 120]"
-    assert interval(Interval(1.0, 0.7, 1.44)) == "1.00 ± 0.37"
-    assert interval(Interval(1.0, 0.7, 1.46)) == "1 [0.7, 1.5]"
-    assert interval(Interval(-1.0, -1.46, -0.7)) == "-1 [-1.5, -0.7]"
-    assert interval(Interval(2.34e7, 99_400.0, 3e80)) == "2.3e+07 [99000, 3.0e+80]"
-    assert interval(Interval(1.0, 1.0, 1.0)) == "1.000 ± 0.000"
-
-
-def test_huge_numbers_are_short():
-    assert interval(Interval(1.5e80, 1e80, 2e80)) == "1.50e+80 ± 5.0e+79"
-    assert interval(Interval(3.0, -1e9, 1e9)) == "3.00e+00 ± 1.0e+09"
-    assert interval(Interval(99_999.0, 99_998.0, 100_000.0)) == "99999.0 ± 1.0"
-    assert interval(Interval(np.inf, 0.0, np.inf)) == "inf"

@@ -15,8 +15,9 @@ from estbench.analysis import tables
 from estbench.analysis.comparison import Rank, compare, score
 from estbench.analysis.findings import Accuracy, accuracies
 from estbench.analysis.shown import few_runs
-from estbench.analysis.tables import Table, bounds, number, percent, plus_minus
+from estbench.analysis.tables import Table, bounds, number, percent
 from estbench.errors import AnalysisError, DimensionError, EstimatorError, StoreError
+from estbench.quantity import quantity
 from estbench.results import Results
 from estbench.scenario import bundled
 from estbench.statistics import Summary
@@ -206,9 +207,9 @@ def _table(board: Board) -> Table:
         rows.append(
             (
                 f"{rank.place}{'=' if rank.tied else ''}", f"{rank.place}–{rank.last}", s.label,
-                str(s.verdict), "1" if i == 0 else bounds(rank.ratio), plus_minus(s.anees),
+                str(s.verdict), "1" if i == 0 else bounds(rank.ratio), quantity(s.anees),
                 percent(s.diverged_interval),
-                *(plus_minus(a.mean) for a in board.accuracy(s.label)), number(s.cost),
+                *(quantity(a.mean) for a in board.accuracy(s.label)), number(s.cost),
             )
         )  # fmt: skip
     columns = (

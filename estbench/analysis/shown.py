@@ -11,10 +11,10 @@ from estbench.analysis.tables import (
     bounds,
     number,
     percent,
-    plus_minus,
     probability,
 )
 from estbench.consistency import Interval
+from estbench.quantity import quantity
 
 
 def build(comparison: Comparison) -> list[Table]:
@@ -44,8 +44,8 @@ def _verdicts(contest: Contest, comparison: Comparison) -> Table:
         ("<estimator", "<verdict", "NEES/n", "median", "NIS/m", "diverged", "µs/run-step"),
         tuple(
             (
-                f.key, str(f.summary.verdict), plus_minus(f.summary.anees),
-                number(f.summary.anees_median, 3), plus_minus(f.summary.anis),
+                f.key, str(f.summary.verdict), quantity(f.summary.anees),
+                number(f.summary.anees_median, 3), quantity(f.summary.anis),
                 percent(f.summary.diverged_interval), number(f.summary.cost),
             )
             for f in contest.findings
@@ -92,7 +92,7 @@ def _pairs(contest: Contest, comparison: Comparison) -> Table:
         rows.append(
             (
                 pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
-                probability(pair.sign), probability(pair.wilcoxon), plus_minus(nees),
+                probability(pair.sign), probability(pair.wilcoxon), quantity(nees),
             )
         )  # fmt: skip
     return Table(
@@ -109,8 +109,8 @@ def _accuracy(contest: Contest) -> Table:
         ("<estimator", "unit", "mean", "trimmed mean", "median", "σ"),
         tuple(
             (
-                f.key if i == 0 else "", a.unit, plus_minus(a.mean), plus_minus(a.trimmed),
-                plus_minus(a.median), number(a.sigma),
+                f.key if i == 0 else "", a.unit, quantity(a.mean), quantity(a.trimmed),
+                quantity(a.median), number(a.sigma),
             )
             for f in contest.findings
             for i, a in enumerate(f.accuracy)
@@ -128,7 +128,7 @@ def _coverage(contest: Contest) -> Table:
             (
                 f.key if i == 0 else "",
                 a.unit,
-                *(plus_minus(_scaled(share, 100)) for share in a.coverage.shares),
+                *(quantity(_scaled(share, 100)) for share in a.coverage.shares),
             )
             for f in contest.findings
             for i, a in enumerate(f.accuracy)
@@ -150,7 +150,7 @@ def _innovations(contest: Contest) -> Table:
         if f.nci is not None and f.inclination is not None and np.isfinite(f.nci):
             best = number(f.nci_expected or np.nan, 3)
             nci = (f"{f.nci:.3f} ({best})", f"{f.inclination:+.3f}")
-        rows.append((f.key, plus_minus(f.summary.lag_one), *white, *nci))
+        rows.append((f.key, quantity(f.summary.lag_one), *white, *nci))
     level = contest.stores[0].scenario.consistency.level
     return Table(
         "Innovations and credibility",

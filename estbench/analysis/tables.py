@@ -116,19 +116,6 @@ def escape(cell: str) -> str:
     return "".join(_LATEX.get(c, c) for c in cell)
 
 
-def plus_minus(i: Interval) -> str:
-    """`0.01832 ± 0.00021`: the half-width to two digits, the value to the same decimals."""
-    half = 0.5 * (i.high - i.low)
-    if not np.isfinite(i.value):
-        return "–" if np.isnan(i.value) else "∞"
-    if not np.isfinite(half) or half <= 0:
-        return number(i.value)
-    decimals = max(0, int(1 - np.floor(np.log10(half))))
-    if decimals > 6:
-        return f"{i.value:.2e} ± {half:.1e}"
-    return f"{i.value:.{decimals}f} ± {half:.{decimals}f}"
-
-
 def bounds(i: Interval, decimals: int = 3) -> str:
     """`1.021 [1.013, 1.030]`: for an interval that is not symmetric."""
     if np.isnan(i.value):

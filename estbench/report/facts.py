@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench import setup
-from estbench.consistency import Interval, Verdict
+from estbench.consistency import Verdict
 from estbench.errors import EstbenchError
 from estbench.estimators.base import Fault
 from estbench.models import layout, mjcf
+from estbench.quantity import quantity
 from estbench.report.data import Steps
 from estbench.report.sources import Entry, Source
 from estbench.report.traces import TraceStatistics
-from estbench.results import interval
 from estbench.sensors import Channel
 from estbench.versions import known
 
@@ -53,7 +53,7 @@ def verdict(entry: Entry, steps: Steps) -> str:
     """What to think of one estimator, in a sentence or two."""
     s = entry.summary
     good = s.runs - round(s.diverged * s.runs)
-    nees = f"NEES/n is {interval(s.anees)} over {good} runs"
+    nees = f"NEES/n is {quantity(s.anees)} over {good} runs"
     percent = f"{s.diverged:.1%} of {s.runs} runs diverged"
     sentences = {
         Verdict.CONSISTENT: f"{nees}: its errors are as large as its covariance says.",
@@ -224,23 +224,3 @@ def diverged(
             rows.append(Diverged(entry.key, run, time, step, cause))
         out.append((entry.key, len(lost), rows))
     return out
-
-
-def show(i: Interval) -> str:
-    """A ratio's interval for a table, `1.02 ± 0.03`, or the value alone."""
-    return interval(i).replace("-0.000 ", "0.000 ") if math.isfinite(i.value) else "–"
-
-
-def quantity(i: Interval) -> str:
-    """An interval of a quantity with a unit: `0.00371 ± 0.00002`."""
-    if not math.isfinite(i.value):
-        return "–"
-    half = 0.5 * (i.high - i.low)
-    if not math.isfinite(half) or half == 0:
-        return f"{i.value:.3g}"
-    if half < 1e-6 or abs(i.value) >= 1e5:
-        return f"{i.value:.3g} ± {half:.1g}"
-    decimals = -math.floor(math.log10(half))
-    decimals = max(0, decimals + (half * 10**decimals < 2))  # a leading 1 gets one digit more
-    shown = round(i.value, decimals) + 0.0  # no negative zero
-    return f"{shown:.{decimals}f} ± {half:.{decimals}f}"

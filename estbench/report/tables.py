@@ -7,6 +7,7 @@ import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired
 from estbench.analysis.tables import bounds, number, percent, probability
+from estbench.quantity import quantity
 from estbench.report import facts, palette
 from estbench.report.drawing import Material
 from estbench.report.innovations import Correlation
@@ -41,10 +42,10 @@ def entry(material: Material, i: int) -> dict[str, Any]:
         "verdict": str(s.verdict),
         "sentence": facts.verdict(entry, nees),
         "cells": [
-            _cell(s.anees.value, facts.show(s.anees)),
+            _cell(s.anees.value, quantity(s.anees)),
             _cell(s.anees_median, number(s.anees_median, 3)),
-            _cell(s.anis.value, facts.show(s.anis)),
-            _cell(s.lag_one.value, facts.show(s.lag_one)),
+            _cell(s.anis.value, quantity(s.anis)),
+            _cell(s.lag_one.value, quantity(s.lag_one)),
             _cell(s.diverged, f"{s.diverged:.1%}"),
             _cell(s.cost, number(s.cost)),
             _share(nees.outside),
@@ -62,7 +63,7 @@ def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
         for entry in entries:
             s = entry.summary
             cells += [
-                _cell(s.rmse[i].value, facts.quantity(s.rmse[i])),
+                _cell(s.rmse[i].value, quantity(s.rmse[i])),
                 _cell(s.std[i], number(s.std[i])),
             ]
         rows.append({"name": name, "unit": unit, "cells": cells})
@@ -116,7 +117,7 @@ def _difference(d: Paired, scale: float, p: float, level: float) -> dict[str, An
     told = p < 1 - level and i.value * np.sign(d.effect) > MARGIN * abs(scale)
     kind = _side(d.effect) if told else ""
     none = max(abs(i.low), abs(i.high)) < NONE * abs(scale)
-    return _cell(i.value, "≈ 0" if none else facts.quantity(i) + MARKS[kind], kind, p)
+    return _cell(i.value, "≈ 0" if none else quantity(i) + MARKS[kind], kind, p)
 
 
 def _side(effect: float) -> str:
@@ -142,7 +143,7 @@ def white(material: Material) -> dict[str, Any]:
     rows = []
     for entry, one, channels in zip(material.entries, material.white, material.channels):
         lag_one = entry.summary.lag_one
-        cells = [_cell(lag_one.value, facts.show(lag_one))]
+        cells = [_cell(lag_one.value, quantity(lag_one))]
         for name in names:
             found = one if name in ("", "all channels") else channels.get(name)
             cells += _test(found)

@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from estbench.cli import app
 from estbench.consistency import mean_interval
-from estbench.envs.control import compare
+from estbench.envs.control import Comparison, Source, compare
+from estbench.envs.control_table import render
 from estbench.envs.errors import EnvError
 from estbench.envs.raw import RawReadings
 from estbench.envs.world import World, prepare
@@ -119,3 +121,24 @@ def test_command_line():
     data = json.loads(CliRunner().invoke(app, [*arguments, "-e", "ekf", "--json"]).output)
     assert set(data["sources"]) == {"truth", "ekf", "raw"}
     assert data["runs"] == 3
+
+
+def test_the_table_breaks_no_name_and_no_number():
+    names = ("truth", "a_filter_whose_name_is_long_enough_to_see", "raw")
+    costs = ([1e6, 1e6 + 1], [2e7, 2e7 + 3], [3.0, 9e99])
+    failed = (np.zeros(2, bool), np.array([False, True]), np.zeros(2, bool))
+    sources = (
+        Source(n, np.array(c), f, np.full(2, np.nan)) for n, c, f in zip(names, costs, failed)
+    )
+    console = Console(width=100, no_color=True, force_terminal=False, highlight=False)
+    with console.capture() as capture:
+        console.print(render(Comparison("robot", "lqr", 0, 1.0, 0.95, tuple(sources))))
+    lines = [line.rstrip() for line in capture.get().splitlines()]
+    assert max(map(len, lines)) <= 100
+    found = {
+        name: " ".join(w for line in lines if line.startswith(f"{name} ") for w in line.split()[1:])
+        for name in names
+    }
+    assert found["truth"] == "1.0000005e+06 ± 6.4e+00 -4.50e+99 ± 5.7e+100 0/2"
+    assert found[names[1]] == "2.00e+07 1.90e+07 2.00e+07 1/2"  # one run is no interval
+    assert found["raw"] == "4.50e+99 ± 5.7e+100 4.50e+99 ± 5.7e+100 0/2"
