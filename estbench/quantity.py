@@ -16,10 +16,10 @@ def quantity(i: Interval) -> str:
     """`1.020 ± 0.031` where the interval is symmetric to the digits shown, else with its ends.
 
     Two digits of the half-width h = (high - low)/2 are shown, and the value to the same place. The
-    sides are alike to these digits if (high - value) and (value - low) differ by no more than one
-    unit of the last: then both are h, rounded. Elsewhere ± would say other ends than the interval
-    has, so they stand there themselves, to that place, none with fewer than two digits of its own:
-    `12 [3.1, 120]`, where 12 ± 58 would hold 1 and the interval does not.
+    sides, (high - value) and (value - low), are alike to these digits if they differ by no more
+    than one unit of the last: half a unit from h. Elsewhere ± would say other ends than the
+    interval has, so these stand there themselves, to that place, none with fewer than two digits
+    of its own: `12 [3.1, 120]`, where 12 ± 58 would hold 1 and the interval does not.
 
     A value alone (no interval: one run) has three digits, or those before the point; one whose
     interval has no width is followed by `± 0`; a missing one is `–`. What is infinite is `∞`.
