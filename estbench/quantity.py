@@ -8,18 +8,19 @@ LARGE = 1e5
 """Numbers from here on are shown by their power of ten."""
 DECIMALS = 6
 """With more decimals than these the power of ten is shorter."""
+LOPSIDED = 1.5
+"""An interval is shown by its ends from where one side is so many times the other."""
 ROUNDING = 1e-12
 """An interval narrower than this part of its value is of the arithmetic's making."""
 
 
 def quantity(i: Interval) -> str:
-    """`1.020 ± 0.031` where the interval is symmetric to the digits shown, else with its ends.
+    """`1.020 ± 0.031`, or with its ends, `12 [3.1, 120]`, where the interval is lopsided.
 
-    Two digits of the half-width h = (high - low)/2 are shown, and the value to the same place. The
-    sides, (high - value) and (value - low), are alike to these digits if they differ by no more
-    than one unit of the last: half a unit from h. Elsewhere ± would say other ends than the
-    interval has, so these stand there themselves, to that place, none with fewer than two digits
-    of its own: `12 [3.1, 120]`, where 12 ± 58 would hold 1 and the interval does not.
+    Two digits of the half-width (high - low)/2 are shown, and the value to the same place. Where
+    one side is more than `LOPSIDED` times the other ± would mislead (12 ± 58 holds 1, and the
+    interval does not), so the ends stand there, to that place, none with fewer than two digits of
+    its own.
 
     A value alone (no interval: one run) has three digits, or those before the point; one whose
     interval has no width is followed by `± 0`; a missing one is `–`. What is infinite is `∞`.
@@ -39,8 +40,7 @@ def quantity(i: Interval) -> str:
         if half <= ROUNDING * abs(i.value):
             return f"{_alone(i.value, 6)} ± 0"
         large = max(abs(i.value), half) >= LARGE or place > DECIMALS
-        unit = 10.0 ** -(place if large else max(place, 0))
-        if abs(above - below) <= unit:
+        if max(sides) <= LOPSIDED * min(sides):
             if large:
                 return f"{_power(i.value, place, 2)} ± {_power(half, place)}"
             return f"{_fixed(i.value, place)} ± {_fixed(half, place)}"

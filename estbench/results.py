@@ -139,13 +139,14 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
         _column("NIS/m", (quantity(s.anis) for s in summaries)),
         _column("lag-one", (quantity(s.lag_one) for s in summaries)),
         _column("diverged", (f"{s.diverged:.1%}" for s in summaries)),
-        Column("µs/run-step", tuple(f"{s.cost:.3g}" for s in summaries), narrow="µs/run\n-step"),
+        Column("µs/run-step", tuple(f"{s.cost:.3g}" for s in summaries), narrow="µs/step"),
     )
     return Group(
         Columns(columns[:1], tuple((column,) for column in columns[1:])),
         Text(
             "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
-            f"filter; ± and brackets: the {level:.0%} interval across runs; cost is of one core.",
+            f"filter; ± and brackets: the {level:.0%} interval across runs; cost: of one core, "
+            "a run and step.",
             style="dim",
         ),
     )
