@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from estbench import users
-from estbench.errors import ScenarioError
+from estbench.errors import DimensionError, ScenarioError
 from estbench.manifold import Manifold
 from estbench.models import layout
 from estbench.models.reading import Source, StateFunction
@@ -32,14 +32,15 @@ def build(
     given = [key for key in ("of", "function", "add") if getattr(section, key) is not None]
     if len(given) > 1:
         raise ScenarioError(f"{where} has {' and '.join(given)}; give one of them")
-    if section.unit is not None and section.function is None:
-        raise ScenarioError(f"{where}.unit is for a function; a sensor has its own")
+    for key in ("unit", "angles"):
+        if getattr(section, key) is not None and section.function is None:
+            raise ScenarioError(f"{where}.{key} is for a function; a sensor has its own")
     if section.axes is not None and section.function is not None:
         raise ScenarioError(
             f"{where}.axes is for sensors; let the function return what is measured"
         )
     if section.function is not None:
-        return _function(name, section.function, section.unit or "1", model), "function"
+        return _function(name, section.function, section, model), "function"
     members = [name] if section.of is None else section.of
     if len(set(members)) < max(1, len(members)):
         raise ScenarioError(f"{where}.of is {section.of}; name each of its sensors once")
@@ -57,7 +58,7 @@ def build(
     return Source.of_sensors(model, *indices, axes=section.axes), kinds
 
 
-def _function(name: str, target: str, unit: str, model: mujoco.MjModel) -> Source:
+def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjModel) -> Source:
     """A user's function of the state; how many numbers it returns is found by calling it."""
     where = f"channels.{name}.function"
     called = cast(StateFunction, users.function(target, where))
@@ -71,7 +72,11 @@ def _function(name: str, target: str, unit: str, model: mujoco.MjModel) -> Sourc
             "called as h(x, u, t) and returns (..., m)"
         ) from None
     suffixes = layout.suffixes(width)
-    space = Manifold(tuple(name + s for s in suffixes), (unit,) * width)
+    names, units = [name + s for s in suffixes], [section.unit or "1"] * width
+    try:
+        space = Manifold.euclidean(width, names, units, section.angles or ())
+    except DimensionError as error:
+        raise ScenarioError(f"channels.{name}.{error}") from None
     source = Source(space, function=called, name=where)
     source.call(x, u, 0.0)
     source.call(np.tile(x, (3, 1, 1)), u[:1].repeat(3, axis=0), 0.0)

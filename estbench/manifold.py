@@ -23,24 +23,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Manifold:
-    """A product of real lines and unit quaternions.
+    """A product of real lines, circles and unit quaternions.
 
     Attributes:
         names: name of each tangent coordinate, `(n,)`.
         units: unit of each tangent coordinate, `(n,)`.
         quaternions: `(nquat, 2)` integers: where each quaternion starts in the point, and where its
-            rotation vector starts in the tangent, in order. Every other coordinate is a real line.
+            rotation vector starts in the tangent, in order. Every other coordinate is a real line,
+            or a circle.
+        angles: tangent coordinates that are angles on a circle, in rad: a difference goes the short
+            way round, a point may have any number of turns.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     quaternions: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    angles: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.units):
             raise DimensionError(
                 f"names has {len(self.names)} entries and units {len(self.units)}; give one each"
             )
+        taken = [i for _, first in self.quaternions for i in range(first, first + 3)]
+        for i in self.angles:
+            if not 0 <= i < self.n or i in taken or self.angles.count(i) > 1:
+                raise DimensionError(
+                    f"angles is {list(self.angles)}; use some of 0 to {self.n - 1}, each once and "
+                    "none of a quaternion's"
+                )
         lines, turns, start, shift = [], [], 0, 0
         for point, tangent in (
             *self.quaternions[self.quaternions[:, 0].argsort()],
@@ -51,20 +62,30 @@ class Manifold:
             turns.append((slice(point, start), slice(tangent, tangent + 3)))
         object.__setattr__(self, "_lines", [(x, t) for x, t in lines if x.start < x.stop])
         object.__setattr__(self, "_turns", turns[:-1])
+        tangent = np.array(self.angles, np.intp)
+        before = (self.quaternions[:, 1] < tangent[:, None]).sum(axis=1)
+        object.__setattr__(self, "_circles", (tangent + before, tangent))
 
     # Slices of the point and of the tangent: stretches of real lines, and the quaternions. Slices
     # and not lists of indices, which numpy would gather and scatter at several times the cost.
     _lines: list[tuple[slice, slice]] = field(init=False, repr=False)
     _turns: list[tuple[slice, slice]] = field(init=False, repr=False)
+    # Indices of the angles in the point and in the tangent: there are few.
+    _circles: tuple[NDArray[np.intp], NDArray[np.intp]] = field(init=False, repr=False)
 
     @classmethod
     def euclidean(
-        cls, n: int, names: Sequence[str] | None = None, units: Sequence[str] | None = None
+        cls,
+        n: int,
+        names: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        angles: Sequence[int] = (),
     ) -> "Manifold":
-        """The flat space R^n; names default to x0, x1, ... and units to 1."""
+        """R^n, or circles where there are `angles`; names default to x0, x1, ... and units to 1."""
         return cls(
             tuple(names) if names is not None else tuple(f"x{i}" for i in range(n)),
             tuple(units) if units is not None else ("1",) * n,
+            angles=tuple(angles),
         )
 
     @property
@@ -82,6 +103,11 @@ class Manifold:
         """Whether ⊞ is plain addition."""
         return not len(self.quaternions)
 
+    @property
+    def vector(self) -> bool:
+        """Whether ⊖ is plain subtraction too, as in R^n."""
+        return self.flat and not self.angles
+
     def plus(self, x: Array, delta: Array) -> Array:
         """X ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
         if self.flat:
@@ -96,7 +122,7 @@ class Manifold:
 
     def minus(self, x: Array, y: Array) -> Array:
         """X ⊖ y `(..., n)`: the tangent vector at y with y ⊞ (x ⊖ y) = x."""
-        if self.flat:
+        if self.vector:
             return x - y
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), self.n))
         for at, to in self._lines:
@@ -104,14 +130,23 @@ class Manifold:
         for at, to in self._turns:
             q, p = rotation.normalize(x[..., at]), rotation.normalize(y[..., at])
             out[..., to] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
+        if self.angles:
+            _, to = self._circles
+            out[..., to] = rotation.short_way(out[..., to])
         return out
 
     def mean(self, points: Array, weights: Array) -> Array:
         """Weighted mean `(..., nx)` of points `(..., point, nx)`: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
 
-        Weights `(point,)` or `(..., point)`. See `rotation.mean` for the quaternions.
+        Weights `(point,)` or `(..., point)`. See `rotation.mean` for the quaternions. Angles are
+        those that lie around the first point, within half a turn.
         """
         mean = weighted(weights, points)
+        if self.angles:
+            at, _ = self._circles
+            angles = points[..., at]
+            first = angles[..., :1, :]
+            mean[..., at] = first[..., 0, :] + weighted(weights, rotation.short_way(angles - first))
         for at, _ in self._turns:
             mean[..., at] = rotation.mean(points[..., at], weights)
         return mean
@@ -147,12 +182,14 @@ class Manifold:
 def product(spaces: Sequence[Manifold]) -> Manifold:
     """The manifold of points that stand one after the other."""
     names, units, quaternions, nx = [], [], [np.zeros((0, 2), np.intp)], 0
+    angles: list[int] = []
     for space in spaces:
+        angles += [len(names) + i for i in space.angles]
         quaternions.append(space.quaternions + np.array([nx, len(names)]))
         names += space.names
         units += space.units
         nx += space.nx
-    return Manifold(tuple(names), tuple(units), np.concatenate(quaternions))
+    return Manifold(tuple(names), tuple(units), np.concatenate(quaternions), tuple(angles))
 
 
 def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Array]:

@@ -66,6 +66,11 @@ def log(q: Array) -> Array:
     return factor * q[..., 1:]
 
 
+def short_way(angle: Array) -> Array:
+    """The angle in [-π, π] that differs from it by whole turns, rad."""
+    return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
+
+
 def mean(q: Array, weights: Array, iterations: int = 20) -> Array:
     """Weighted mean m `(..., 4)` of unit quaternions `(..., point, 4)`: Σ wᵢ log(m⁻¹ ⊗ qᵢ) = 0.
 

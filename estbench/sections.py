@@ -208,6 +208,9 @@ class ChannelSection(Section):
         None, description="module:function(x, u, t) -> y in place of a sensor"
     )
     unit: str | None = Field(None, description="of a function's reading")
+    angles: list[Annotated[int, Field(ge=0)]] | None = Field(
+        None, description="which of a function's numbers are angles, rad: ± π is the same bearing"
+    )
 
 
 class ControlSection(Section):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from estbench import rotation
 from estbench.errors import DimensionError
-from estbench.manifold import Manifold
+from estbench.manifold import Manifold, product
 from estbench.models.layout import sensor_space, state_space
 from tests.helpers import ZOO, random_cov, random_states, zoo_model
 
@@ -201,3 +201,49 @@ def test_names_and_units_of_the_state():
 def test_names_and_units_must_match():
     with pytest.raises(DimensionError, match="units 1"):
         Manifold(("a", "b"), ("m",))
+
+
+# Angles
+
+
+TURNED = Manifold(  # a line, a quaternion, an angle, a line, an angle
+    tuple("arbcdef"), ("m", "rad", "rad", "rad", "rad", "m", "rad"), np.array([[1, 1]]), (4, 6)
+)
+
+
+@given(seed=seeds, turns=st.integers(-3, 3))
+def test_differences_of_angles_go_the_short_way_round(seed, turns):
+    x, delta = point(TURNED, seed), tangent(TURNED, seed)
+    moved = TURNED.plus(x, delta)
+    moved[[5, 7]] += 2 * np.pi * turns
+    np.testing.assert_allclose(TURNED.minus(moved, x), delta, atol=1e-12)
+    far = TURNED.plus(x, delta + np.pi * np.eye(7)[4])
+    assert abs(TURNED.minus(far, x)[4]) <= np.pi + 1e-12
+
+
+@given(seed=seeds, turns=st.integers(-3, 3))
+def test_the_mean_of_angles_does_not_know_where_a_turn_begins(seed, turns):
+    x = point(TURNED, seed)
+    points = TURNED.plus(x, tangent(TURNED, seed, (9,), limit=1.0))
+    weights = np.full(9, 1 / 9)
+    before = TURNED.mean(points, weights)
+    points[4:, [5, 7]] += 2 * np.pi * turns
+    np.testing.assert_allclose(TURNED.minus(TURNED.mean(points, weights), before), 0, atol=1e-12)
+    per_row = TURNED.mean(points[None], weights[None])[0]
+    np.testing.assert_allclose(TURNED.minus(per_row, before), 0, atol=1e-12)
+
+
+def test_angles_are_kept_in_a_product():
+    both = product([Manifold.euclidean(2), TURNED, Manifold.euclidean(1, angles=[0])])
+    assert both.angles == (6, 8, 9)
+    assert TURNED.flat is False
+    bearing = Manifold.euclidean(2, angles=[1])
+    assert (bearing.flat, bearing.vector) == (True, False)
+    np.testing.assert_allclose(bearing.minus(np.array([1.0, 3.1]), np.array([0.0, -3.1])),
+                               [1.0, 6.2 - 2 * np.pi])  # fmt: skip
+
+
+@pytest.mark.parametrize("angles", [(2,), (7,), (-1,), (4, 4)])
+def test_angles_that_are_no_coordinates(angles):
+    with pytest.raises(DimensionError, match=r"angles is .*use some of 0 to 6"):
+        Manifold(TURNED.names, TURNED.units, TURNED.quaternions, angles)

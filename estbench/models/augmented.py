@@ -97,6 +97,7 @@ class Augmented:
             (*base.names, *(f"bias.{s}" for s in sensors), *(f"input.{i}" for i in inputs)),
             (*base.units, *(units[s] for s in sensors), *("1" for _ in inputs)),
             base.quaternions,
+            base.angles,
         )
         object.__setattr__(self, "space", space)
         object.__setattr__(self, "_names", sensors)

@@ -78,7 +78,7 @@ class PeerFilter(GaussianEstimator):
         model: the filter's model, whose state and measurements must be vectors.
 
     Raises:
-        EstimatorError: the state or a measurement holds a quaternion.
+        EstimatorError: the state or a measurement holds a quaternion or an angle.
         MissingExtraError: the library is not installed.
     """
 
@@ -86,10 +86,10 @@ class PeerFilter(GaussianEstimator):
 
     def __post_init__(self) -> None:
         for what, space in (("state", self.model.space), ("measurement", self.model.output())):
-            if not space.flat:
+            if not space.vector:
                 raise EstimatorError(
-                    f"{type(self).__name__}: the {what} holds a quaternion and this library knows "
-                    "vectors only; use 'ekf' or 'ukf', or leave that channel out"
+                    f"{type(self).__name__}: the {what} holds a quaternion or an angle and this "
+                    "library knows vectors only; use 'ekf' or 'ukf', or leave that channel out"
                 )
         self.load()
 
