@@ -1,7 +1,6 @@
 """A Gymnasium environment's MuJoCo model as a filter may use it: a copy, with sensors added."""
 
 import copy
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from estbench.envs.errors import EnvError
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.models import mjcf
 from estbench.models.layout import object_name
+from estbench.models.parameters import SETTINGS
 from estbench.models.rows import engine
 from estbench.sensors import Channel
 
@@ -25,8 +25,6 @@ _AT_SITES = (
     "gyro", "accelerometer", "velocimeter", "magnetometer", "force", "torque", "touch",
     "rangefinder",
 )  # fmt: skip
-# Integer fields that a program may set on a compiled model; the rest are addresses and counts.
-_SETTINGS = re.compile(r"(contype|conaffinity|condim|priority|limited|gravcomp|active0)$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,23 +175,6 @@ def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
     return out
 
 
-def altered(
-    model: mujoco.MjModel, settings: Mapping[str, float | Sequence[float]], where: str
-) -> mujoco.MjModel:
-    """A copy with `field.object` = value settings applied, or the model itself without any.
-
-    Raises:
-        ScenarioError: a setting names nothing in the model.
-    """
-    if not settings:
-        return model
-    out = copy.copy(model)
-    for key, value in settings.items():
-        mjcf.assign(out, key, value, where)
-    mujoco.mj_setConst(out, mujoco.MjData(out))
-    return out
-
-
 def _set_flags(model: mujoco.MjModel) -> None:
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= (
@@ -208,7 +189,7 @@ def _copy_parameters(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
         if not isinstance(value, np.ndarray) or name.startswith(("sensor_", "site_", "name_")):
             continue
         there = getattr(target, name)
-        if there.shape == value.shape and (value.dtype.kind == "f" or _SETTINGS.search(name)):
+        if there.shape == value.shape and (value.dtype.kind == "f" or SETTINGS.search(name)):
             there[...] = value
     for name in dir(source.opt):
         if not name.startswith("_"):

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from estbench import random
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
-from estbench.models import mjcf
+from estbench.models import parameters
 from estbench.models.rows import Rows
 from estbench.setup import Setup
 
@@ -34,7 +34,7 @@ class TruthRows:
         self._disturbance = setup.disturbance
         self._noise = RowNoise(rows, {"process": setup.disturbance.rank})
         self._draws = {
-            key: (draw, *mjcf.parameter(self._model, key, "truth.draw"))
+            key: (draw, *parameters.parameter(self._model, key, "truth.draw"))
             for key, draw in setup.scenario.truth.draw.items()
         }
         self._drawn = {
@@ -61,8 +61,7 @@ class TruthRows:
             values = self._drawn[key]
             nominal = getattr(self._model, field)[index]
             z = random.normal(keys, zero, purpose(f"parameter:{key}"), 1)[:, 0]
-            z = z.reshape(-1, *([1] * np.ndim(nominal)))
-            values[mask] = nominal * (1 + draw.relative_std * z) + draw.std * z
+            values[mask] = parameters.drawn(nominal, draw.relative_std, draw.std, z)
             self._rows.vary(self._count, field, index, values)
 
     def step(self, u: Array, nstep: int, mask: Mask | None = None) -> Array:

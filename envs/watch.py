@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench import random
-from estbench.envs.adopt import adopt, altered, mujoco_parts
+from estbench.envs.adopt import adopt, mujoco_parts
 from estbench.envs.errors import EnvError
 from estbench.envs.filter import FilterBank, quiet
 from estbench.envs.keys import Keys, Mask, purpose
@@ -16,7 +16,7 @@ from estbench.envs.observer import Observer
 from estbench.envs.readings import Readings
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
-from estbench.models import layout
+from estbench.models import layout, parameters
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel
 from estbench.naming import expand
@@ -66,7 +66,7 @@ class Watch:
         bank = None
         if filtered:
             believed = MujocoModel(
-                altered(adopted.model, model_set or {}, "model_set"),
+                parameters.changed(adopted.model, model_set or {}, "model_set"),
                 [SensorChannel(c.name, c.index, c.cov) for c in adopted.channels],
                 _disturbance(adopted.model, self.space, process_noise),
                 nthread=nthread,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estbench import datasheet, schedules, sensors
 from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
 from estbench.manifold import Manifold
-from estbench.models import layout, mjcf
+from estbench.models import layout, mjcf, parameters
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import Scale, SensorChannel
 from estbench.models.reading import Source
@@ -43,15 +43,17 @@ def robots(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel, mujoco.Mj
         spec,
         timestep=section.timestep,
         integrator=section.integrator,
-        settings={**section.set, **scenario.truth.set},
+        settings=section.set,
     )
     believed = mjcf.compile_model(
         mjcf.read(belief.path, added) if belief.path else spec,
         timestep=belief.timestep or section.timestep,
         integrator=belief.integrator or section.integrator,
-        settings={**section.set, **belief.set},
-        where="filter",
+        settings=section.set,
+        where="filter" if belief.path else "model",
     )
+    truth = parameters.changed(truth, scenario.truth.set, "truth.set")
+    believed = parameters.changed(believed, belief.set, "filter.set")
     for name, model in (("model", truth), ("filter", believed)):
         if not model.opt.timestep > 0:
             raise ScenarioError(f"{name}.timestep is {model.opt.timestep:g} s; use one above 0")

@@ -40,7 +40,11 @@ class ModelSection(Section):
 
 
 class Draw(Section):
-    """A model parameter drawn once a run: value (1 + relative_std z) + std z, z ~ N(0, 1)."""
+    """A model parameter drawn once a run: value (1 + relative_std z) + std z, z ~ N(0, 1).
+
+    z stays within ± 4.5 (`models.parameters.LIMIT`), so that a mass can be refused that might be
+    drawn negative.
+    """
 
     relative_std: Annotated[float, Field(ge=0)] = 0.0
     std: Annotated[float, Field(ge=0)] = 0.0

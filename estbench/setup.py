@@ -21,7 +21,7 @@ from estbench.estimators.adaptive import AdaptiveEKF
 from estbench.estimators.base import Estimator
 from estbench.fusion import Delays
 from estbench.manifold import Manifold
-from estbench.models import layout, mjcf
+from estbench.models import layout, mjcf, parameters
 from estbench.models.differences import Differences
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel, whole_steps
@@ -112,7 +112,7 @@ class Setup:
             raise ScenarioError(
                 f"{where}: {changes!r} is no table; use one like that of filter.set"
             )
-        return self.model(robot=mjcf.changed(self.filter_model, changes, where))
+        return self.model(robot=parameters.changed(self.filter_model, changes, where))
 
     def settings(self, label: str) -> dict[str, Any]:
         """The estimator's own settings, without those of the event loop."""
@@ -249,8 +249,8 @@ def build(scenario: Scenario) -> Setup:
         setup.prior(label)
         setup.delays(label)
     _check_window(setup)
-    for key in scenario.truth.draw:
-        mjcf.parameter(truth, key, "truth.draw")
+    for key, draw in scenario.truth.draw.items():
+        parameters.check_draw(truth, key, draw.relative_std, draw.std)
     setup.controller([0])
     return setup
 

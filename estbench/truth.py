@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estbench import streams
 from estbench.controllers import Controller
 from estbench.manifold import Manifold
-from estbench.models import mjcf
+from estbench.models import mjcf, parameters
 from estbench.models.disturbance import Disturbance
 from estbench.models.reading import Plan
 from estbench.models.rows import Rows
@@ -125,11 +125,12 @@ class Simulator:
         return out
 
     def _draw(self, key: str, draw: Draw, seed: int, runs: Sequence[int]) -> None:
-        field, index = mjcf.parameter(self._model, key, "truth.draw")
+        field, index = parameters.parameter(self._model, key, "truth.draw")
         value = getattr(self._model, field)[index]
         z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
-        z = z.reshape(-1, *([1] * np.ndim(value)))
-        self._rows.vary(len(runs), field, index, value * (1 + draw.relative_std * z) + draw.std * z)
+        self._rows.vary(
+            len(runs), field, index, parameters.drawn(value, draw.relative_std, draw.std, z)
+        )
 
 
 def simulate(simulator: Simulator, controller: Controller, frame_time: float) -> Trajectory:

@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from estbench import sensors, streams, timing, truth
-from estbench.models import mjcf
+from estbench.models import mjcf, parameters
 from estbench.models.disturbance import Disturbance
 from estbench.models.layout import state_space
 from estbench.models.rows import Rows, engine
@@ -212,7 +212,7 @@ def test_each_run_has_its_own_parameter(key, draw):
     for run in range(3):
         model = copy.copy(zoo_model("sensors"))
         z = streams.normals(7, [run], f"parameter:{key}", 1, 1).item()
-        index, value = mjcf.parameter(model, key, "")[1], getattr(model, field)
+        index, value = parameters.parameter(model, key, "")[1], getattr(model, field)
         value[index] = value[index] * (1 + draw.relative_std * z) + draw.std * z
         mujoco.mj_setConst(model, mujoco.MjData(model))
         data = mujoco.MjData(model)

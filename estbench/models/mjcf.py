@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError, did_you_mean
+from estbench.models.parameters import changed
 
 Array = NDArray[np.float64]
 
@@ -178,71 +179,6 @@ def lean(model: mujoco.MjModel, use: Use) -> mujoco.MjModel:
     out = copy.copy(model)
     out.opt.disableflags |= skip
     return out
-
-
-_PREFIXES = {
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
-    "dof": mujoco.mjtObj.mjOBJ_JOINT,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-    "site": mujoco.mjtObj.mjOBJ_SITE,
-}
-
-
-def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | slice]:
-    """Field name and row(s) of `field.object`, e.g. `body_mass.pole`, `dof_damping.hinge`.
-
-    Raises:
-        ScenarioError: unknown field or object.
-    """
-    field, _, name = key.partition(".")
-    prefix = field.split("_")[0]
-    fields = [f for f in dir(model) if f.split("_")[0] in _PREFIXES and "_" in f]
-    if field not in fields:
-        raise ScenarioError(f"{where}: no model field '{field}'{did_you_mean(field, fields)}")
-    kind = _PREFIXES[prefix]
-    index = mujoco.mj_name2id(model, kind, name)
-    if index < 0:
-        count = {"dof": model.njnt, "jnt": model.njnt}.get(prefix, getattr(model, f"n{_N[prefix]}"))
-        names = [mujoco.mj_id2name(model, kind, i) or "" for i in range(count)]
-        raise ScenarioError(f"{where}: '{key}': no {prefix} '{name}'{did_you_mean(name, names)}")
-    if prefix != "dof":
-        return field, index
-    start = int(model.jnt_dofadr[index])
-    width = {0: 6, 1: 3}.get(int(model.jnt_type[index]), 1)
-    return field, slice(start, start + width)
-
-
-_N = {"body": "body", "geom": "geom", "actuator": "u", "tendon": "tendon", "site": "site",
-      "jnt": "jnt", "dof": "jnt"}  # fmt: skip
-
-
-def changed(
-    model: mujoco.MjModel, settings: Mapping[str, float | Sequence[float]], where: str
-) -> mujoco.MjModel:
-    """A copy of a compiled model with `field.object` -> value set and what follows from it."""
-    model = copy.copy(model)
-    for key, value in settings.items():
-        assign(model, key, value, where)
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
-
-
-def assign(
-    model: mujoco.MjModel, key: str, value: float | Sequence[float], where: str = "set"
-) -> None:
-    """Set `field.object` of a compiled model; a scalar fills a row."""
-    field, rows = parameter(model, key, where)
-    target = getattr(model, field)
-    try:
-        target[rows] = value
-    except (TypeError, ValueError):
-        got = repr(value) if isinstance(value, str) else np.size(value)
-        raise ScenarioError(
-            f"{where}: '{key}' takes {np.size(target[rows])} numbers, got {got}"
-        ) from None
 
 
 def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.models import mjcf
+from estbench.models import mjcf, parameters
 from estbench.scenario import bundled
 from estbench.sections import AddSensor
 from tests.helpers import ZOO, zoo_model
@@ -70,8 +70,8 @@ def test_overrides():
 def test_a_dof_field_covers_the_whole_joint():
     model = mujoco.MjModel.from_xml_string(ZOO["joints"])
     before = model.dof_damping.copy()
-    mjcf.assign(model, "dof_damping.wrist", 7.0)
-    mjcf.assign(model, "dof_armature.root", [1, 2, 3, 4, 5, 6])
+    parameters.assign(model, "dof_damping.wrist", 7.0)
+    parameters.assign(model, "dof_armature.root", [1, 2, 3, 4, 5, 6])
     np.testing.assert_array_equal(model.dof_damping, [*before[:2], 7, 7, 7, *before[5:]])
     np.testing.assert_array_equal(model.dof_armature, [0] * 5 + [1, 2, 3, 4, 5, 6])
 
