@@ -24,6 +24,10 @@ class CovarianceError(EstbenchError):
     """A matrix that must be symmetric positive (semi)definite is not."""
 
 
+class ModelError(EstbenchError):
+    """A function of a user's model is none, or raised."""
+
+
 class EstimatorError(EstbenchError):
     """An estimator is unknown, lacks a method, or has a setting out of range."""
 

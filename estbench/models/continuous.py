@@ -12,12 +12,11 @@ from estbench.errors import DimensionError
 from estbench.linalg import symmetrize
 from estbench.manifold import Manifold
 from estbench.models.base import Channels, Model
+from estbench.models.calls import Matrix, matrix_at
 from estbench.models.differences import Differences
 from estbench.models.function import Function, FunctionModel
 
 Array = NDArray[np.float64]
-Matrix = Array | Callable[[float], Array]
-"""A matrix, or a function of time t in s that returns one."""
 
 
 @runtime_checkable
@@ -145,8 +144,10 @@ class ContinuousFunctionModel:
         names, units: of the state's coordinates.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite at t = 0.
-        DimensionError: G does not fit Q_s; at a call, a function returns another shape.
+        CovarianceError: R is not symmetric positive definite, a function's at t = 0 or at a call.
+        DimensionError: G does not fit Q_s; at a call, a function returns another shape, no real
+            numbers, or float32.
+        ModelError: at a call, a function raises.
     """
 
     f: Function
@@ -167,14 +168,14 @@ class ContinuousFunctionModel:
     def __post_init__(self) -> None:
         if not isinstance(self.substeps, int) or self.substeps < 1:
             raise DimensionError(f"substeps is {self.substeps}; use a whole number of at least 1")
-        density = _at(self.Q_s, 0.0)
+        density = matrix_at("Q_s", self.Q_s, 0.0)
         if density.ndim != 2 or density.shape[0] != density.shape[1]:
             raise DimensionError(
                 f"Q_s has shape {density.shape}; expected a square matrix, 0.1 * np.eye(1) for one "
                 "number"
             )
         if self.G is not None:
-            G = _at(self.G, 0.0)
+            G = matrix_at("G", self.G, 0.0)
             if G.shape[:-1] != density.shape[:-1] or self.n_controls not in (0, G.shape[-1]):
                 raise DimensionError(
                     f"G has shape {G.shape}; expected ({len(density)}, n_controls) with n_controls "
@@ -183,7 +184,7 @@ class ContinuousFunctionModel:
             object.__setattr__(self, "n_controls", G.shape[-1])
         f, slope = self.f, self.f_jacobian
         parts = FunctionModel(
-            lambda x, u, t, dt: f(x, u, t), self.h, density, _at(self.R, 0.0), self.n_controls,
+            lambda x, u, t, dt: f(x, u, t), self.h, density, self.R, self.n_controls,
             None if slope is None else lambda x, u, t, dt: slope(x, u, t), self.h_jacobian,
             self.batched, self.differences, self.names, self.units,
         )  # fmt: skip
@@ -214,7 +215,7 @@ class ContinuousFunctionModel:
 
     def spectral_density(self, x: Array, u: Array, t: float = 0.0) -> Array:
         """Q_s."""
-        return _at(self.Q_s, t)
+        return matrix_at("Q_s", self.Q_s, t)
 
     def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
         """The state after dt by RK4."""
@@ -240,15 +241,10 @@ class ContinuousFunctionModel:
 
     def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
         """R."""
-        return _at(self.R, t)
+        return self._parts.measurement_noise(t)
 
     def _driven(self, rate: Array, u: Array, t: float) -> Array:
         if self.G is None:
             return rate
-        push = u @ _at(self.G, t).T
+        push = u @ matrix_at("G", self.G, t).T
         return rate + (push if rate.ndim == push.ndim else push[:, None])
-
-
-def _at(matrix: Matrix, t: float) -> Array:
-    """The matrix at time t."""
-    return np.asarray(matrix(t) if callable(matrix) else matrix, np.float64)

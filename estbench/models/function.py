@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import CovarianceError, DimensionError
+from estbench.errors import CovarianceError, DimensionError, ModelError
 from estbench.linalg import is_positive_definite, is_positive_semidefinite
 from estbench.manifold import Manifold
 from estbench.models.base import Channels
+from estbench.models.calls import Matrix, call, matrix_at, numbers
 from estbench.models.differences import Differences
 
 Array = NDArray[np.float64]
 Function = Callable[..., Array]
-Matrix = Array | Function
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,8 @@ class FunctionModel:
     """x⁺ = f(x, u, t, dt) + Ω w, y = h(x, u, t) + v in R^n (source 001, eq. 1-2; source 002).
 
     Attributes:
-        f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`.
+        f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`. A state
+            that cannot be computed is NaN; it ends its own run only.
         h: measurement; takes x `(..., n)`, u `(..., nu)` and t, returns `(..., m)`.
         Q: covariance of w in one step `(n, n)`, or `(k, k)` with Ω; or a function of t and dt.
         R: measurement noise covariance `(m, m)`, or a function of t.
@@ -37,10 +38,11 @@ class FunctionModel:
         n_states: n, where Ω is a function; else it follows from Q, or Ω.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite, or Q not semidefinite, a function's
-            at t = 0.
+        CovarianceError: R is not symmetric positive definite, or Q not semidefinite; a function's
+            at t = 0 or at a call.
         DimensionError: Q, R or Ω does not fit the others; at a call, a function returns another
-            shape than expected.
+            shape than expected, no real numbers, or float32.
+        ModelError: f or h is no function; at a call, a function raises.
     """
 
     f: Function
@@ -61,24 +63,24 @@ class FunctionModel:
     _noises: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        Q, R = _at(self.Q, 0.0, 1.0), _at(self.R, 0.0)
-        for name, matrix in (("Q", Q), ("R", R)):
-            if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-                raise DimensionError(
-                    f"{name} has shape {matrix.shape}; expected a square matrix, 0.1 * np.eye(1) "
-                    "for one number"
-                )
-        if not is_positive_definite(R):
-            raise CovarianceError("R is not symmetric positive definite; raise its eigenvalues")
-        if not is_positive_semidefinite(Q):
-            raise CovarianceError("Q is not symmetric positive semidefinite; raise its eigenvalues")
+        for name in ("f", "h", "f_jacobian", "h_jacobian"):
+            given = getattr(self, name)
+            if not callable(given) and (given is not None or name in ("f", "h")):
+                raise ModelError(f"{name} is of type {type(given).__name__}; give a function")
+        Q = _covariance("Q", self.Q, "semidefinite", 0.0, 1.0)
+        R = _covariance("R", self.R, "definite", 0.0)
         gain = self.noise_gain
+        if gain is not None and not callable(gain):
+            gain = matrix_at("noise_gain", gain)
+        for name, constant in (("Q", Q), ("R", R), ("noise_gain", gain)):
+            if not callable(getattr(self, name)):
+                object.__setattr__(self, name, constant)
         if callable(gain) and self.n_states < 1:
             raise DimensionError(
                 f"n_states is {self.n_states}; give the count of states where noise_gain is a "
                 "function"
             )
-        if gain is not None and not callable(gain) and gain.shape[-1:] != Q.shape[-1:]:
+        if gain is not None and not callable(gain) and (gain.ndim != 2 or gain.shape[-1] != len(Q)):
             raise DimensionError(
                 f"noise_gain has shape {gain.shape}; expected (n, {len(Q)}) to fit Q"
             )
@@ -121,7 +123,9 @@ class FunctionModel:
 
     def process_noise(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
         """Q, or Ω Q Ωᵀ."""
-        gain, Q = self.noise_gain, _at(self.Q, t, dt)
+        gain, Q = self.noise_gain, self.Q
+        if callable(Q):
+            Q = _covariance("Q", Q, "semidefinite", t, dt)
         if Q.shape != (self._noises, self._noises):
             raise DimensionError(
                 f"Q returned shape {Q.shape}; expected {(self._noises, self._noises)}"
@@ -150,7 +154,9 @@ class FunctionModel:
 
     def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
         """R."""
-        R, m = _at(self.R, t), self._output.n
+        R, m = self.R, self._output.n
+        if callable(R):
+            R = _covariance("R", R, "definite", t)
         if R.shape != (m, m):
             raise DimensionError(f"R returned shape {R.shape}; expected {(m, m)}")
         return R
@@ -167,27 +173,51 @@ class FunctionModel:
         """Call a user's function on `(run, n)` or `(run, point, n)` and check what it returns."""
         if x.ndim == 3:
             u = np.broadcast_to(u[:, None], (*x.shape[:2], u.shape[-1]))
-        lead = x.shape[:-1]
-        if self.batched:
-            out = np.asarray(function(x, u, *time), dtype=np.float64)
-            if out.shape == shape != (*lead, *shape):  # a constant Jacobian
-                out = np.broadcast_to(out, (*lead, *shape))
-        else:
+        full = (*x.shape[:-1], *shape)
+        if not self.batched:
             states = x.reshape(-1, x.shape[-1])
             rows = zip(states, u.reshape(len(states), u.shape[-1]), strict=True)
-            out = np.array([np.asarray(function(a, b, *time), dtype=np.float64) for a, b in rows])
-            one = out.ndim == 1 and np.prod(shape) == 1  # a plain number for each state
-            out = out.reshape(*lead, *(shape if one else out.shape[1:]))
-        if out.shape != (*lead, *shape):
-            points = " = (run, point, n): several points of each run at once, so index x[..., i]"
+            return np.reshape([_one(name, function, shape, *row, *time) for row in rows], full)
+        points = " = (run, point, n): several points of each run at once, so index x[..., i]"
+        expected = (
+            f"{full} for x of shape {x.shape}{points if x.ndim == 3 else ''} (a function written "
+            "for one state needs batched=False)"
+        )
+        given = call(name, function, x, u, *time)
+        out = numbers(f"{name} returned", given, f"shape {expected}")
+        if out.shape == shape:  # a constant Jacobian
+            out = np.broadcast_to(out, full)
+        elif isinstance(given, list | tuple):
             raise DimensionError(
-                f"{name} returned shape {out.shape}; expected {(*lead, *shape)} for x of shape "
-                f"{x.shape}{points if x.ndim == 3 else ''} (a function written for one state needs "
-                "batched=False)"
+                f"{name} returned {type(given).__name__} of {len(given)}; np.stack(parts, axis=-1) "
+                f"makes an array of it; expected shape {expected}"
             )
+        if out.shape != full:
+            raise DimensionError(f"{name} returned shape {out.shape}; expected {expected}")
         return out
 
 
-def _at(matrix: Matrix, *time: float) -> Array:
-    """The matrix at that time."""
-    return np.asarray(matrix(*time) if callable(matrix) else matrix, dtype=np.float64)
+def _one(name: str, function: Function, shape: tuple[int, ...], *args: Array | float) -> Array:
+    """What a function written for one state returns there; a number where one is expected."""
+    out = call(name, function, *args)
+    out = numbers(f"{name} returned", out, f"shape {shape} for one state")
+    if out.shape != shape and (out.ndim or np.prod(shape) != 1):
+        raise DimensionError(f"{name} returned shape {out.shape}; expected {shape} for one state")
+    return out.reshape(shape)
+
+
+def _covariance(name: str, matrix: Matrix, positive: str, *time: float) -> Array:
+    """Q or R at a time, which must be positive `definite` or `semidefinite`."""
+    value = matrix_at(name, matrix, *time)
+    if value.ndim != 2 or value.shape[0] != value.shape[1]:
+        raise DimensionError(
+            f"{name} has shape {value.shape}; expected a square matrix, 0.1 * np.eye(1) for one "
+            "number"
+        )
+    good = is_positive_definite if positive == "definite" else is_positive_semidefinite
+    if not good(value):
+        when = f" at t = {time[0]:g}" if callable(matrix) else ""
+        raise CovarianceError(
+            f"{name} is not symmetric positive {positive}{when}; raise its eigenvalues"
+        )
+    return value
