@@ -1,5 +1,6 @@
 """`estbench view`: the player in a browser (MuJoCo's web viewer, on loopback) or in a window."""
 
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -158,6 +159,9 @@ def _page(player: Player, port: int) -> None:
 def _loopback_only() -> Iterator[str]:
     """Have MuJoCo's web viewer listen on loopback: by default it serves the whole network.
 
+    It announces its port when it is bound and listens later; until then another viewer can bind the
+    same port (`SO_REUSEADDR`). So the socket listens at once.
+
     Raises:
         ViewError: this MuJoCo's viewer is made another way, so that it cannot be kept private.
     """
@@ -174,8 +178,17 @@ def _loopback_only() -> Iterator[str]:
             print(f"  {key:8} {what}")
         sys.stdout.flush()
 
+    def listening(host: str, port: int = 0) -> socket.socket:
+        while True:
+            sock = bind(LOOPBACK, port)
+            try:
+                sock.listen()
+                return sock
+            except OSError:  # another viewer listens there since; `bind` will now see it
+                sock.close()
+
     replaced: Any = web_server
-    replaced.bind_public_socket = lambda host, port=0: bind(LOOPBACK, port)
+    replaced.bind_public_socket = listening
     web_viewer._print_url_banner = announce
     try:
         yield LOOPBACK

@@ -4,7 +4,6 @@ import subprocess
 import sys
 import threading
 import time
-import urllib.error
 import urllib.request
 
 import mujoco
@@ -136,17 +135,35 @@ def test_the_page_is_served_on_loopback_only(playing, capfd):
     assert web_server.bind_public_socket is original
 
 
+def test_two_viewers_that_start_at_once_take_two_ports(monkeypatch):
+    """Another viewer takes the port between this one's binding it and its listening on it."""
+    pytest.importorskip("mujoco.studio.web_viewer")
+    from mujoco.studio.web import web_server
+
+    original, others = web_server.bind_public_socket, []
+
+    def overtaken(host, port=0):
+        sock = original(host, port)
+        if not others:
+            others.append(original(host, sock.getsockname()[1]))
+            others[0].listen()
+        return sock
+
+    monkeypatch.setattr(web_server, "bind_public_socket", overtaken)
+    with view._loopback_only():
+        mine = web_server.bind_public_socket("::")
+        port = others[0].getsockname()[1]
+        assert mine.getsockname()[1] > port
+        with pytest.raises(RuntimeError, match=f"{port} is already in use"):
+            web_server.bind_public_socket("::", port)
+    for sock in (mine, *others):
+        sock.close()
+
+
 def fetch(url):
-    """The page; its socket is bound before the server listens."""
-    end = time.monotonic() + 15
-    while True:
-        try:
-            with urllib.request.urlopen(url, timeout=10) as answer:
-                return answer.read(5000)
-        except urllib.error.URLError:
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.1)
+    """The page; its socket listens before the server answers."""
+    with urllib.request.urlopen(url, timeout=30) as answer:
+        return answer.read(5000)
 
 
 def test_the_page_answers(tmp_path):
