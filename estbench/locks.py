@@ -1,4 +1,4 @@
-"""Who may write into a results folder, and what a writer that was killed left in it.
+"""Who may write into a results folder, and what a writer that was killed left in it or beside it.
 
 A process alone holds `.lock` exclusively; processes that share a store by `--shard` hold it
 together, and each the lock of its own share. The system frees a lock when its process dies.
@@ -6,7 +6,11 @@ together, and each the lock of its own share. The system frees a lock when its p
 
 import contextlib
 import fcntl
+import glob
+import os
 import re
+import shutil
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,6 +66,36 @@ def sweep(folder: Path, store: Path, shard: Shard | None) -> None:
         batch = re.search(r"/c/(\d+)[./]", path.relative_to(store).as_posix())
         if shard is None or (batch and int(batch[1]) % shard[1] == shard[0] - 1):
             path.unlink(missing_ok=True)
+
+
+def draft(folder: Path) -> Path:
+    """A hidden name beside a folder, to build it under; drafts that dead writers left are removed.
+
+    A draft whose writer lives is locked by it (`building`), and stays.
+    """
+    for old in folder.parent.glob(f".{glob.escape(folder.name)}.{'[0-9a-f]' * 8}"):
+        with contextlib.suppress(OSError), (old / _DRAFT).open("r+") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(old)
+    return folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}"
+
+
+@contextmanager
+def building(draft: Path) -> Iterator[None]:
+    """Make a draft and keep others from removing it.
+
+    Raises:
+        OSError: it cannot be made, or the file system cannot lock.
+    """
+    draft.mkdir(parents=True)
+    with (draft / ".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        # Named when it is locked: nobody finds the lock of a living draft free.
+        os.rename(file.name, draft / _DRAFT)
+        yield
+
+
+_DRAFT = ".lock-draft"
 
 
 def _share(shard: Shard) -> str:

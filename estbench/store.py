@@ -13,7 +13,6 @@ import json
 import re
 import shutil
 import tomllib
-import uuid
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -89,14 +88,14 @@ class Store:
         batches = [range(i, min(i + batch_size, count)) for i in range(0, count, batch_size)]
         made = [path for path in folder.parents if not path.exists()]
         # Built beside its place and renamed: another process sees all of it or nothing.
-        draft = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}"
+        draft = locks.draft(folder)
         try:
-            draft.mkdir(parents=True)
-            (draft / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
-            (draft / COSTS).mkdir()
-            root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
-            declare(root, setup, keep, batches, dtype)
-            draft.rename(folder)
+            with locks.building(draft):
+                (draft / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
+                (draft / COSTS).mkdir()
+                root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
+                declare(root, setup, keep, batches, dtype)
+                draft.rename(folder)
         except BaseException as error:
             _remove(draft, made)
             if isinstance(error, FileExistsError) or folder.exists():

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -86,6 +87,36 @@ def test_while_another_process_lives_nothing_is_removed(tmp_path):
         process.kill()
     run(folder, resume=True)
     assert left() == set()
+
+
+BUILD = """
+import sys
+from pathlib import Path
+from estbench import locks
+draft = locks.draft(Path(sys.argv[1]))
+with locks.building(draft):
+    (draft / "costs").mkdir()
+    print(draft, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_the_drafts_of_dead_writers_are_removed_and_no_others(tmp_path):
+    folder = tmp_path / "x"
+    others = {tmp_path / f".{name}.0123abcd" for name in ("y", "x.y")} | {tmp_path / ".x.notours"}
+    for other in others:
+        other.mkdir()
+        (other / ".lock-draft").touch()
+    command = [sys.executable, "-c", BUILD, str(folder)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        theirs = Path(process.stdout.readline().decode().strip())
+        mine = locks.draft(folder)
+        assert theirs != mine
+        assert (theirs / "costs").is_dir()
+        process.kill()
+    run(folder, runs=5)
+    assert set(tmp_path.iterdir()) == {folder, *others}
 
 
 def test_a_folder_name_that_looks_like_a_batch(tmp_path):
