@@ -10,9 +10,11 @@ from rich.table import Table
 from rich.text import Text
 
 from estbench import controllers, observability, scenario, setup
+from estbench.errors import EstbenchError, ScenarioError
 from estbench.estimators import registry
 from estbench.models import layout, mjcf
 from estbench.models.rows import engine
+from estbench.sections import FilterSection, Scenario, TruthSection
 
 STAGES = ("none", "position", "velocity", "acceleration")
 
@@ -56,9 +58,56 @@ def render_catalogue() -> Group:
     return Group(*parts)
 
 
-def render_check(resolved: scenario.Scenario) -> Group:
-    """States, sensors and warnings of a scenario for a rich console."""
-    prepared = setup.build(resolved)
+def mistakes(resolved: Scenario) -> list[str]:
+    """What is wrong with a scenario that validates: a message for each of its independent parts.
+
+    The bare robot is given one part after the other. One with which it cannot be built is a mistake
+    and is left out of what follows, so that it hides no other.
+    """
+    fields, kept = Scenario.model_fields, ("name", "model", "simulation")
+    defaults = {n: f.get_default(call_default_factory=True) for n, f in fields.items()}
+    bare = {n: value for n, value in defaults.items() if n not in kept} | {"estimators": {}}
+    good, found = resolved.model_copy(update=bare), []
+
+    def add(**parts: Any) -> None:
+        nonlocal good
+        trial = good.model_copy(update=parts)
+        try:
+            setup.build(trial)
+            good = trial
+        except EstbenchError as error:
+            found.append(str(error))
+
+    belief, truth = resolved.filter, resolved.truth
+    seen = FilterSection(channels=belief.channels)  # what is believed of them belongs to them
+    add(sensors=resolved.sensors, channels=resolved.channels, filter=seen)
+    if found:
+        add()
+        if (
+            len(found) > 1
+        ):  # the bare robot cannot be built either, it may have no sensor of its own
+            return found[:1]
+    add(filter=belief.model_copy(update={"channels": good.filter.channels}))
+    add(truth=TruthSection(set=truth.set))
+    add(truth=truth.model_copy(update={"set": good.truth.set}))
+    for label, settings in resolved.estimators.items():
+        add(estimators={**good.estimators, label: settings})
+    add(start=resolved.start, estimators=good.estimators or {"ekf": {}})  # somebody must start
+    for name in ("initial", "process_noise", "control", "consistency"):
+        add(**{name: getattr(resolved, name)})
+    return list(dict.fromkeys(found))
+
+
+def render_check(resolved: Scenario) -> Group:
+    """States, sensors and warnings of a scenario for a rich console.
+
+    Raises:
+        ScenarioError: the scenario cannot be built; every mistake that can be found is named.
+    """
+    try:
+        prepared = setup.build(resolved)
+    except EstbenchError as error:
+        raise ScenarioError("; ".join(mistakes(resolved) or [str(error)])) from None
     model, space = prepared.plant.model, prepared.space
     head = (
         f"{resolved.name}: {space.n} coordinates, {model.nu} controls, timestep "

@@ -47,13 +47,14 @@ def _expanded(
 ) -> Array:
     if isinstance(value, dict):
         out = np.full(len(names), float(default))
+        unknown = []
         for pattern, number in value.items():
             hit = [fnmatchcase(name, pattern) for name in names]
             if not any(hit) and names:
-                raise ScenarioError(
-                    f"{what}: '{pattern}' matches none{did_you_mean(pattern, names)}"
-                )
+                unknown.append(f"'{pattern}' matches none{did_you_mean(pattern, names)}")
             out[hit] = number
+        if unknown:
+            raise ScenarioError(f"{what}: {'; '.join(unknown)}")
         return out
     array = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if array.ndim != 1 or len(array) not in (1, len(names)):

@@ -187,10 +187,10 @@ def _in_use(
 
 
 def _check_names(where: str, wanted: Iterable[str], known: Sequence[str]) -> None:
-    """Refuse a name that no sensor has."""
-    for name in wanted:
-        if name not in known:
-            raise ScenarioError(f"{where}: no sensor '{name}'{did_you_mean(name, known)}")
+    """Refuse names that no sensor has."""
+    unknown = [f"no sensor '{n}'{did_you_mean(n, known)}" for n in wanted if n not in known]
+    if unknown:
+        raise ScenarioError(f"{where}: {'; '.join(unknown)}")
 
 
 def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:

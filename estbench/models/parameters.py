@@ -75,17 +75,23 @@ def changed(
     Without any setting it is the model itself.
 
     Raises:
-        ScenarioError: a setting names nothing, or has a value that no robot can have.
+        ScenarioError: settings name nothing, or have values that no robot can have; all are named.
     """
     if not settings:
         return model
-    model = copy.copy(model)
+    model, mistakes, assigned = copy.copy(model), [], {}
     for key, value in settings.items():
-        assign(model, key, value, where)
-    for key, value in settings.items():  # a body may have its mass from one welded to it
+        try:
+            assign(model, key, value, where)
+            assigned[key] = value
+        except ScenarioError as error:
+            mistakes.append(str(error))
+    for key, value in assigned.items():  # a body may have its mass from one welded to it
         wrong = flaw(model, *parameter(model, key, where))
         if wrong:
-            raise ScenarioError(f"{where}: '{key}' is {value}: {wrong}; change it, or leave it out")
+            mistakes.append(f"{where}: '{key}' is {value}: {wrong}; change it, or leave it out")
+    if mistakes:
+        raise ScenarioError("; ".join(mistakes))
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
