@@ -1,6 +1,6 @@
 """Continuous-time models ẋ = f(x) + G u + w, and their integration by RK4 on a manifold."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -142,6 +142,7 @@ class ContinuousFunctionModel:
         substeps: RK4 steps in one transition.
         differences: scheme and step of the difference Jacobians.
         names, units: of the state's coordinates.
+        angles, state_angles: components of y, and of x, that are angles; see `FunctionModel`.
 
     Raises:
         CovarianceError: R is not symmetric positive definite, a function's at t = 0 or at a call.
@@ -163,6 +164,8 @@ class ContinuousFunctionModel:
     differences: Differences = Differences("centered", 1e-5)  # noqa: RUF009 it is frozen
     names: tuple[str, ...] | None = None
     units: tuple[str, ...] | None = None
+    angles: Sequence[int] = ()
+    state_angles: Sequence[int] = ()
     _parts: FunctionModel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -187,6 +190,7 @@ class ContinuousFunctionModel:
             lambda x, u, t, dt: f(x, u, t), self.h, density, self.R, self.n_controls,
             None if slope is None else lambda x, u, t, dt: slope(x, u, t), self.h_jacobian,
             self.batched, self.differences, self.names, self.units,
+            angles=self.angles, state_angles=self.state_angles,
         )  # fmt: skip
         object.__setattr__(self, "_parts", parts)
 

@@ -1,6 +1,6 @@
 """A model from the user's own f and h, written for one state or for a batch."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +19,7 @@ Function = Callable[..., Array]
 
 @dataclass(frozen=True, eq=False)
 class FunctionModel:
-    """x⁺ = f(x, u, t, dt) + Ω w, y = h(x, u, t) + v in R^n (source 001, eq. 1-2; source 002).
+    """x⁺ = f(x, u, t, dt) + Ω w, y = h(x, u, t) + v (source 001, eq. 1-2; source 002).
 
     Attributes:
         f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`. A state
@@ -36,6 +36,8 @@ class FunctionModel:
         noise_gain: Ω `(n, k)`, or a function of x, u, t and dt that returns ∂x⁺/∂w `(..., n, k)`;
             the process noise is then Ω Q Ωᵀ at the estimate. The identity by default.
         n_states: n, where Ω is a function; else it follows from Q, or Ω.
+        angles: components of y that are angles, rad: a bearing of 3.1 is near one of -3.1.
+        state_angles: components of x that are angles which f, or whoever compares, may wrap.
 
     Raises:
         CovarianceError: R is not symmetric positive definite, or Q not semidefinite; a function's
@@ -58,6 +60,8 @@ class FunctionModel:
     units: tuple[str, ...] | None = None
     noise_gain: Function | Array | None = None
     n_states: int = 0
+    angles: Sequence[int] = ()
+    state_angles: Sequence[int] = ()
     space: Manifold = field(init=False, repr=False)
     _output: Manifold = field(init=False, repr=False)
     _noises: int = field(init=False, repr=False)
@@ -90,10 +94,11 @@ class FunctionModel:
             raise DimensionError(
                 f"{name} has shape {matrix.shape}; expected {(n, k)} for {n} states"
             )
-        space = Manifold.euclidean(n, self.names, self.units)
-        names = tuple(f"y{i}" for i in range(len(R)))
+        names = [f"y{i}" for i in range(len(R))]
+        space = Manifold.euclidean(n, self.names, self.units, self.state_angles)
+        output = Manifold.euclidean(len(R), names, angles=self.angles)
         object.__setattr__(self, "space", space)
-        object.__setattr__(self, "_output", Manifold.euclidean(len(names), names))
+        object.__setattr__(self, "_output", output)
         object.__setattr__(self, "_noises", len(Q))
 
     @property
