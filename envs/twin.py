@@ -115,6 +115,6 @@ class Twin:
         observation = self._env._get_obs()
         if isinstance(self.space, spaces.Box):
             # An estimate may lie a little outside of what the truth can reach.
-            observation = np.clip(observation, self.space.low, self.space.high)
-            return np.array(observation, self.space.dtype)
+            inside = np.minimum(np.maximum(observation, self.space.low), self.space.high)
+            return np.array(inside, self.space.dtype)
         return copy.deepcopy(observation)
