@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
 from estbench.analysis.findings import Findings, find
-from estbench.analysis.load import Stored, load
+from estbench.analysis.load import Stored, load_all
 from estbench.consistency import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
 from estbench.sections import Scenario
@@ -98,30 +98,18 @@ def compare_stores(
     for name, value in (("margin", margin), ("precision", precision)):
         if not 0 < value < 1:
             raise AnalysisError(f"{name} is {value:g}; use a number between 0 and 1")
-    stored = [load(folder) for folder in folders]
-    titles = _titles([s.folder for s in stored])
-    first = stored[0]
-    for other in stored[1:]:
-        if (other.names, other.units) != (first.names, first.units):
-            raise StoreError(
-                f"{other.folder} estimates {_shown(other.names)} but {first.folder} "
-                f"{_shown(first.names)}; compare stores of one robot"
-            )
-    groups: dict[str, list[tuple[Stored, str]]] = {}
-    for s, title in zip(stored, titles):
-        groups.setdefault(_same(s.scenario), []).append((s, title))
-    level = first.scenario.consistency.level
+    groups: dict[str, list[Stored]] = {}
+    for stored in load_all(folders):
+        groups.setdefault(_same(stored.scenario), []).append(stored)
+    level = next(iter(groups.values()))[0].level
     contests = tuple(_contest(members, level, margin, precision) for members in groups.values())
     return Comparison(contests, level, margin, precision)
 
 
-def _contest(
-    members: Sequence[tuple[Stored, str]], level: float, margin: float, precision: float
-) -> Contest:
-    stores = [s for s, _ in members]
+def _contest(stores: Sequence[Stored], level: float, margin: float, precision: float) -> Contest:
     findings = [
-        find(s, label, label if len(members) == 1 else f"{title}/{label}", precision)
-        for s, title in members
+        find(s, label, label if len(stores) == 1 else f"{s.title}/{label}", precision)
+        for s in stores
         for label in s.records
     ]
     runs = stores[0].runs
@@ -158,18 +146,3 @@ def _same(scenario: Scenario) -> str:
     dump = scenario.model_dump(mode="json", exclude=OWN)
     del dump["simulation"]["runs"]
     return repr(dump)
-
-
-def _titles(folders: Sequence[Path]) -> list[str]:
-    """The folders' names, with as many parents as it takes to tell them apart."""
-    parts = [folder.resolve().parts for folder in folders]
-    if len(set(parts)) < len(parts):
-        raise StoreError("a results folder is named twice; name each once")
-    depth = 1
-    while len({part[-depth:] for part in parts}) < len(parts):
-        depth += 1
-    return ["/".join(part[-depth:]) for part in parts]
-
-
-def _shown(names: Sequence[str], most: int = 6) -> str:
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

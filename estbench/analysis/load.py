@@ -1,7 +1,7 @@
 """From a results folder to records: the finished runs of a store, whole or not."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,17 +29,21 @@ class Stored:
 
     Attributes:
         folder: where it lies.
+        title: what it is called beside others; the folder's name unless given.
         scenario: as it was run.
-        attrs: provenance: seed, versions.
+        attrs: provenance: seed, versions, time.
         names, units: of the tangent coordinates `(n,)`.
         times: instants `(K + 1,)`, s.
         runs: numbers of the finished runs.
         total: how many were asked for.
         records: label -> per-run and per-step arrays, as `records.merge` gives them.
         summaries: label -> what is said of them.
+        tree: the store, lazily read.
+        batches: positions of the runs of each finished batch.
     """
 
     folder: Path
+    title: str
     scenario: Scenario
     attrs: dict[str, Any]
     names: tuple[str, ...]
@@ -49,8 +53,29 @@ class Stored:
     total: int
     records: dict[str, Record]
     summaries: dict[str, Summary]
-    _tree: xr.DataTree
-    _batches: tuple[slice, ...]
+    tree: xr.DataTree
+    batches: tuple[slice, ...]
+
+    @property
+    def n(self) -> int:
+        """Dimension of the tangent space."""
+        return len(self.names)
+
+    @property
+    def level(self) -> float:
+        """Confidence level of bands and intervals."""
+        return self.scenario.consistency.level
+
+    @property
+    def has_traces(self) -> bool:
+        """Whether errors and estimates of every run were kept."""
+        return all("error" in self.tree[label] for label in self.records)
+
+    def group(self, label: str) -> xr.Dataset:
+        """The arrays of an estimator, lazily read."""
+        node = self.tree[label]
+        assert isinstance(node, xr.DataTree)
+        return node.to_dataset()
 
     @property
     def settled(self) -> NDArray[np.bool_]:
@@ -62,23 +87,27 @@ class Stored:
 
         Over the settled instants of the runs that did not diverge.
         """
-        if "error" not in self._tree[label]:
+        if "error" not in self.tree[label]:
             return None
         return self._traces(label)
 
     def _traces(self, label: str) -> Iterator[tuple[Array, Array]]:
-        lost = _read(self.folder, self._tree, f"{label}/diverged").astype(bool)
-        for where in self._batches:
+        lost = _read(self.folder, self.tree, f"{label}/diverged").astype(bool)
+        for where in self.batches:
             values = (
-                _read(self.folder, self._tree, f"{label}/{name}", where)[~lost[where]]
+                _read(self.folder, self.tree, f"{label}/{name}", where)[~lost[where]]
                 for name in ("error", "nees")
             )
             error, nees = (np.asarray(v[:, self.settled], np.float64) for v in values)
             yield error, nees
 
 
-def load(folder: str | Path) -> Stored:
+def load(folder: str | Path, title: str | None = None) -> Stored:
     """Read the finished runs of a results folder; safe while it is still being written.
+
+    Args:
+        folder: as `estbench run` wrote it.
+        title: what to call it; default the folder's name.
 
     Raises:
         StoreError: it is no results folder, has no finished run, or a chunk is corrupted.
@@ -91,7 +120,7 @@ def load(folder: str | Path) -> Stored:
     try:
         done = _read(folder, tree, "done").astype(bool)
         labels = [str(label) for label in tree.attrs["estimators"]]
-        size = int(_array(tree, f"{labels[0]}/anees").encoding["chunks"][0])
+        size = int(array(tree, f"{labels[0]}/anees").encoding["chunks"][0])
         names, units = (_read(folder, tree, name) for name in ("coordinate", "unit"))
         numbers, times = _read(folder, tree, "run"), _read(folder, tree, "time")
         records = {label: _record(folder, tree, label, done, size) for label in labels}
@@ -104,6 +133,7 @@ def load(folder: str | Path) -> Stored:
         record["cpu_time"] = _cost(folder, tree, label, done, size)
     return Stored(
         folder=folder,
+        title=title or folder.name,
         scenario=scenario,
         attrs={str(key): value for key, value in tree.attrs.items()},
         names=tuple(map(str, names)),
@@ -116,9 +146,42 @@ def load(folder: str | Path) -> Stored:
             label: summarize(label, record, numbers[done].tolist(), times, scenario.consistency)
             for label, record in records.items()
         },
-        _tree=tree,
-        _batches=tuple(_whole(done, size)),
+        tree=tree,
+        batches=tuple(_whole(done, size)),
     )
+
+
+def load_all(folders: Sequence[str | Path]) -> list[Stored]:
+    """Read results folders of one robot; their titles tell them apart.
+
+    Raises:
+        StoreError: a folder cannot be read or is named twice, or their states differ.
+    """
+    paths = [Path(folder) for folder in folders]
+    stores = [load(path, title) for path, title in zip(paths, _titles(paths))]
+    first = stores[0]
+    for other in stores[1:]:
+        if (other.names, other.units) != (first.names, first.units):
+            raise StoreError(
+                f"{other.folder} estimates {_shown(other.names)} but {first.folder} "
+                f"{_shown(first.names)}; read stores of one robot together"
+            )
+    return stores
+
+
+def _titles(folders: Sequence[Path]) -> list[str]:
+    """The folders' names, with as many parents as it takes to tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    if len(set(parts)) < len(parts):
+        raise StoreError("a results folder is named twice; name each once")
+    depth = 1
+    while len({part[-depth:] for part in parts}) < len(parts):
+        depth += 1
+    return ["/".join(part[-depth:]) for part in parts]
+
+
+def _shown(names: Sequence[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
 def _whole(done: NDArray[np.bool_], size: int) -> list[slice]:
@@ -155,7 +218,12 @@ def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], 
     return cost[done]
 
 
-def _array(tree: xr.DataTree, path: str) -> xr.DataArray:
+def array(tree: xr.DataTree, path: str) -> xr.DataArray:
+    """An array of a store, lazily read.
+
+    Raises:
+        KeyError: there is no such array.
+    """
     node = tree[path]
     if not isinstance(node, xr.DataArray):
         raise KeyError(path)
@@ -163,9 +231,9 @@ def _array(tree: xr.DataTree, path: str) -> xr.DataArray:
 
 
 def _read(folder: Path, tree: xr.DataTree, path: str, rows: slice | None = None) -> NDArray[Any]:
-    array = _array(tree, path)
+    stored = array(tree, path)
     try:
-        return (array if rows is None else array[rows]).values
+        return (stored if rows is None else stored[rows]).values
     except (OSError, ValueError, RuntimeError) as error:
         raise StoreError(
             f"{folder / STORE}: {path} cannot be read ({error}); --resume computes it again"

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench import setup
+from estbench.analysis.load import Stored
 from estbench.consistency import Verdict
 from estbench.errors import EstbenchError
 from estbench.estimators.base import Fault
 from estbench.models import layout, mjcf
 from estbench.quantity import quantity
 from estbench.report.data import Steps
-from estbench.report.sources import Entry, Source
+from estbench.report.sources import Entry
 from estbench.report.traces import TraceStatistics
 from estbench.sensors import Channel
 from estbench.versions import known
@@ -85,7 +86,7 @@ def verdict(entry: Entry, steps: Steps) -> str:
     return text
 
 
-def facts(source: Source) -> Facts:
+def facts(source: Stored) -> Facts:
     """What was simulated; the parts that need the robot are empty where its file is gone."""
     scenario, attrs = source.scenario, source.attrs
     simulation = scenario.simulation
@@ -167,7 +168,7 @@ def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-def _differences(source: Source) -> list[str]:
+def _differences(source: Stored) -> list[str]:
     scenario = source.scenario
     lines = [f"truth: {key} = {value}" for key, value in scenario.truth.set.items()]
     for key, draw in scenario.truth.draw.items():

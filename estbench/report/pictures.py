@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 
 from estbench import setup
+from estbench.analysis.load import Stored
 from estbench.errors import EstbenchError
 from estbench.report import render, replay
-from estbench.report.sources import Entry, Source
+from estbench.report.sources import Entry
 
 Say = Callable[[str], None]
 CLIP_SECONDS, CLIP_FPS, CLIP_WIDTH = 5.0, 12.0, 320
 
 
-def picture(source: Source, say: Say) -> str:
+def picture(source: Stored, say: Say) -> str:
     """The robot at its initial estimate as a data URI, or "" where it cannot be drawn."""
     try:
         prepared = setup.build(source.scenario)

@@ -78,7 +78,7 @@ def test_details_are_the_pairs_of_every_coordinate(both, stores):
 
 def test_what_cannot_be_compared(stores, tmp_path):
     a = stores["a"].folder
-    with pytest.raises(StoreError, match="compare stores of one robot"):
+    with pytest.raises(StoreError, match="read stores of one robot together"):
         compare_stores([a, stores["pendulum"].folder])
     with pytest.raises(StoreError, match="named twice"):
         compare_stores([a, a.parent / "b" / ".." / "a"])
@@ -250,7 +250,7 @@ def test_a_mistake_is_one_line_and_code_2(call, stores, tmp_path):
     for arguments, says in (
         ((a, "--format", "markdow"), "no format 'markdow' (did you mean 'markdown'?)"),
         ((tmp_path,), "holds no data.zarr"),
-        ((a, stores["pendulum"].folder), "compare stores of one robot"),
+        ((a, stores["pendulum"].folder), "read stores of one robot together"),
         ((a, "--margin", "2"), "margin is 2; use a number between 0 and 1"),
         ((), "Missing argument"),
     ):

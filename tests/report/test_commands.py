@@ -99,7 +99,7 @@ def test_mistakes(store, monkeypatch, capsys, tmp_path):
         (("report", tmp_path), "holds no data.zarr"),
         (("report", tmp_path / "none"), "holds no data.zarr"),
         (("report", store("two"), "-e", "kff"), "no estimator 'kff'"),
-        (("report", store("two"), store("full")), "one report for each robot"),
+        (("report", store("two"), store("full")), "read stores of one robot together"),
         (("plot", store("bare"), "--what", "error"), "needs traces"),
         (("plot", store("two"), "--what", "nes"), "did you mean 'nees'"),
         (("video", store("two"), "--run", 50), "no finished run 50"),

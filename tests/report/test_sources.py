@@ -49,7 +49,7 @@ def test_several_folders(store, tmp_path):
     assert entries[0].key.endswith("two/ekf")
     with pytest.raises(StoreError, match="named twice"):
         sources.load([other, other])
-    with pytest.raises(StoreError, match="one report for each robot"):
+    with pytest.raises(StoreError, match="read stores of one robot together"):
         sources.load([other, store("full")])
 
 
