@@ -1,11 +1,15 @@
 """The command line: what it writes, and one clear line for every mistake."""
 
+import contextlib
+import importlib
+import pkgutil
 import sys
 
 import pytest
 
 import estbench.report
 from estbench import cli
+from estbench.errors import MissingExtraError
 from tests.report.conftest import needs_gl
 
 
@@ -33,6 +37,10 @@ def mistake(monkeypatch, capsys, *words):
 
 def without(monkeypatch, package):
     """Hide a package, and forget the modules that imported it."""
+    # All are imported first: one imported meanwhile would stay, bound to the forgotten ones.
+    for module in pkgutil.iter_modules(estbench.report.__path__, "estbench.report."):
+        with contextlib.suppress(MissingExtraError):
+            importlib.import_module(module.name)
     for name in list(sys.modules):
         if name.partition(".")[0] == package or name.startswith("estbench.report."):
             monkeypatch.delitem(sys.modules, name)
