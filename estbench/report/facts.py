@@ -56,18 +56,13 @@ def verdict(entry: Entry, steps: Steps) -> str:
     good = s.runs - round(s.diverged * s.runs)
     nees = f"NEES/n is {quantity(s.anees)} over {good} runs"
     percent = f"{s.diverged:.1%} of {s.runs} runs diverged"
+    # Not RMSE/σ of a coordinate: where coordinates are correlated each may be nearer to 1.
+    root = f"{math.sqrt(max(s.anees.value, 0)):.3g}"
+    along = f"{root} σ in root mean square along the covariance's own axes"
     sentences = {
         Verdict.CONSISTENT: f"{nees}: its errors are as large as its covariance says.",
-        Verdict.OVERCONFIDENT: (
-            f"{nees}: its errors are {math.sqrt(s.anees.value):.3g} times as large as its "
-            "covariance says."
-        )
-        if s.anees.value > 0
-        else nees,
-        Verdict.CONSERVATIVE: (
-            f"{nees}: its errors are only {math.sqrt(max(s.anees.value, 0)):.3g} times as large as "
-            "its covariance says."
-        ),
+        Verdict.OVERCONFIDENT: f"{nees}: its errors are larger than its covariance says, {along}.",
+        Verdict.CONSERVATIVE: f"{nees}: its errors are smaller than its covariance says, {along}.",
         Verdict.DIVERGING: f"{percent}; of the others, {nees}." if good else f"{percent}.",
         Verdict.UNDECIDED: f"{nees}, too few to say more.",
     }

@@ -1,10 +1,18 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from estbench.analysis.coverage import SIGMAS
-from estbench.consistency import chi_square_band, mean_interval, positive_mean_interval
-from estbench.report import data, traces
+from estbench.consistency import (
+    Interval,
+    Verdict,
+    chi_square_band,
+    mean_interval,
+    positive_mean_interval,
+)
+from estbench.report import data, facts, traces
 
 
 @pytest.fixture
@@ -23,6 +31,18 @@ def test_nees_is_the_mean_of_the_traces_in_the_band_of_consistency(pair):
     out = (steps.mean < steps.low) | (steps.mean > steps.high)
     assert steps.outside == out[entry.source.settled].mean()
     assert not steps.counts[0]  # the prior is drawn but does not count
+
+
+@pytest.mark.parametrize(
+    ("verdict", "value", "words"),
+    [(Verdict.OVERCONFIDENT, 4.0, "larger"), (Verdict.CONSERVATIVE, 0.25, "smaller")],
+)
+def test_the_sentence_says_of_what_the_root_of_nees_is(pair, verdict, value, words):
+    anees = Interval(value, value - 0.1, value + 0.1)
+    entry = replace(pair[0], summary=replace(pair[0].summary, verdict=verdict, anees=anees))
+    said = facts.verdict(entry, data.nees_steps(entry))
+    root = f"{value**0.5:g} σ in root mean square along the covariance's own axes"
+    assert f"its errors are {words} than its covariance says, {root}." in said
 
 
 def test_nis_skips_instants_without_a_reading(pair):
