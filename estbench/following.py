@@ -1,0 +1,72 @@
+"""An estimator through measurements that are given: no robot, no sensors, no event loop."""
+
+import inspect
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estbench.errors import DimensionError
+from estbench.estimators.base import Estimator, Measurement, Passage
+
+Array = NDArray[np.float64]
+
+
+def follow(
+    estimator: Estimator,
+    mean: Array,
+    cov: Array,
+    y: ArrayLike,
+    *,
+    u: ArrayLike | None = None,
+    times: ArrayLike | None = None,
+    keys: NDArray[np.uint64] | None = None,
+) -> Passage:
+    """Predict to each time and update with what was measured then.
+
+    From the belief N(mean, cov) at times[0], for k = 0, 1, ..., K - 1: the prediction from times[k]
+    to times[k + 1] under u[k], then the update with y[k] (source 001, eq. 1-2).
+
+    Args:
+        estimator: any object of the protocol, over any model whose measurements are real numbers.
+        mean: x̂₀ `(run, nx)`.
+        cov: P₀ `(run, n, n)`.
+        y: measurements `(K, run, ny)` at times[1], ..., times[K]; NaN where none arrived.
+        u: controls `(K, run, nu)`, each held to the next time; default 0.
+        times: `(K + 1,)` in s, rising; default 0, 1, ..., K.
+        keys: a random key a run for estimators whose `init` takes `keys`.
+
+    Returns:
+        The K + 1 beliefs, with all that a smoother needs: `estimator.smooth(passage)`.
+
+    Raises:
+        DimensionError: y, u or times do not fit each other or the prior, or times do not rise.
+    """
+    y = np.asarray(y, dtype=np.float64)
+    if y.ndim != 3 or y.shape[1] != len(mean):
+        raise DimensionError(f"y has shape {y.shape}; expected (step, {len(mean)}, ny)")
+    count, runs, _ = y.shape
+    nu = getattr(getattr(estimator, "model", None), "nu", 0)
+    controls = np.zeros((count, runs, nu)) if u is None else np.asarray(u, dtype=np.float64)
+    if controls.ndim != 3 or controls.shape[:2] != (count, runs):
+        raise DimensionError(f"u has shape {controls.shape}; expected {(count, runs)} and nu")
+    instants = np.asarray(range(count + 1) if times is None else times, dtype=np.float64)
+    if instants.shape != (count + 1,) or not (np.diff(instants) > 0).all():
+        raise DimensionError(
+            f"times has shape {instants.shape}; expected {count + 1} rising numbers, one more than "
+            "y has steps"
+        )
+    random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
+    belief = estimator.init(mean, cov, **({"keys": keys} if random else {}))
+    passage = Passage([belief], list(controls), instants.tolist(), [[]])
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # failed runs are marked
+        for reading, held, t, end in zip(y, controls, passage.times, passage.times[1:]):
+            belief = estimator.predict(belief, held, t, end - t)
+            passage.measurements.append([])
+            came = ~np.isnan(reading)
+            if came.any():
+                mask = None if came.all() else came
+                m = Measurement(np.where(came, reading, 0.0), held, None, mask)
+                belief, _ = estimator.update(belief, m.y, m.u, end, m.channels, m.mask)
+                passage.measurements[-1].append(m)
+            passage.beliefs.append(belief)
+    return passage
