@@ -50,8 +50,8 @@ SUMMARY = {
     "lags": Field((*RUN, "lag"), "f8", "sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations"),
     "lag_terms": Field((*RUN, "lag"), "i8", "how many products of two numbers are in each"),
     "count": Field(STEP, "i8", "runs in the sums below: those that did not diverge"),
-    "nees_sum": Field(STEP, "f8", "sum over runs of NEES"),
-    "nis_sum": Field(STEP, "f8", "sum over runs of NIS"),
+    "nees_sum": Field(STEP, "f8", "sum over runs of NEES, not divided by n"),
+    "nis_sum": Field(STEP, "f8", "sum over runs of NIS, not divided by m"),
     "dof_sum": Field(STEP, "f8", "sum over runs of the innovation's dimension"),
     "square_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the squared error, (unit)²"),
     "variance_sum": Field((*STEP, "coordinate"), "f8", "sum over runs of the variance, (unit)²"),
@@ -64,8 +64,8 @@ DIAGONAL = {
     "estimate": Field((*EACH, "state"), "f8", "x̂"),
     "error": Field((*EACH, "coordinate"), "f8", "x ⊖ x̂ in the tangent at x̂"),
     "std": Field((*EACH, "coordinate"), "f8", "filter's standard deviation"),
-    "nees": Field(EACH, "f8", "normalized estimation error squared"),
-    "nis": Field(EACH, "f8", "normalized innovation squared, NaN where nothing arrived"),
+    "nees": Field(EACH, "f8", "NEES, not divided by n"),
+    "nis": Field(EACH, "f8", "NIS, not divided by m, NaN where nothing arrived"),
     "dof": Field(EACH, "i8", "dimension of the innovation"),
 }
 FULL = {
@@ -74,7 +74,8 @@ FULL = {
     "innovation_cov": Field((*EACH, "reading", "reading_"), "f8", "S of what was fused together"),
 }
 RESERVED = {
-    "run", "time", "coordinate", "coordinate_", "unit", "reading", "reading_", "done", "truth",
+    "run", "time", "coordinate", "coordinate_", "unit", "state", "reading", "reading_", "done",
+    "truth",
 }  # fmt: skip
 """What stands beside the estimators in a store, so that none may be called so."""
 TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}

@@ -9,6 +9,7 @@ from zarr.codecs import Crc32cCodec
 
 from estbench import versions
 from estbench.innovations import readings
+from estbench.models.layout import state_names
 from estbench.records import SIZES, SUMMARY, TRUTH, Field, fields
 from estbench.sections import Scenario
 from estbench.setup import Setup
@@ -51,6 +52,8 @@ def declare(
         ("coordinate_", "coordinate_", space.names),
         ("unit", "coordinate", space.units),
     ]
+    if keep != "summary":
+        texts.append(("state", "state", state_names(space)))
     if keep == "full":
         texts += [("reading", "reading", seen), ("reading_", "reading_", seen)]
     for name, dim, values in texts:

@@ -1,6 +1,8 @@
+import re
 import shutil
 import tomllib
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,6 +66,60 @@ def test_coordinates_units_and_labels(written):
         assert tree["time"].attrs["units"] == "s"
         pole = tree["ekf"]["error"].sel(run=3, coordinate="pole")
         assert pole.dims == ("time",)
+
+
+def test_the_numbers_of_the_state_have_names(written, tmp_path):
+    with estbench.open_results(written["diagonal"].folder) as tree:
+        names = ["cart", "pole", "cart.vel", "pole.vel"]
+        np.testing.assert_array_equal(tree["state"], names)
+        pole = tree["truth/x"].sel(state="pole") - tree["ekf/estimate"].sel(state="pole")
+        np.testing.assert_allclose(pole, tree["ekf/error"].sel(coordinate="pole"), atol=1e-12)
+    with estbench.open_results(written["summary"].folder) as tree:
+        assert "state" not in tree.coords
+    turning = estbench.run("quadrotor", ["ekf"], runs=2, duration=0.05, out=tmp_path / "turning")
+    with estbench.open_results(turning.folder) as tree:
+        body = str(tree["coordinate"].values[0]).removesuffix(".x")
+        parts = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
+        assert tree["state"].values.tolist() == [f"{body}.{part}" for part in parts]
+        quaternion = tree["truth/x"].sel(state=[f"{body}.q{axis}" for axis in "wxyz"])
+        np.testing.assert_allclose((quaternion**2).sum("state"), 1.0, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_a_store_whose_state_has_no_names_opens_and_is_gone_on_with(written, tmp_path):
+    """As those written before they had: it is completed, and stays without."""
+    options = {"runs": 10, "duration": 0.2, "seed": 5, "batch_size": 4, "keep": "diagonal"}
+    folder = tmp_path / "before"
+    shutil.copytree(written["diagonal"].folder, folder)
+    path = folder / store.STORE
+    shutil.rmtree(path / "state")
+    group = zarr.open_group(str(path), use_consolidated=False)
+    group["done"][4:8] = False
+    group["ekf/error"][4:8] = 0.0
+    zarr.consolidate_metadata(str(path))
+    with estbench.open_results(folder) as tree:
+        assert int(tree["done"].sum()) == 6
+    estbench.run("cartpole", ["ekf", "ukf"], **options, out=folder, resume=True)
+    with estbench.open_results(folder) as a, estbench.open_results(written["diagonal"].folder) as b:
+        assert "state" not in a.coords
+        for path in ("truth/x", "ekf/error", "ukf/anees"):
+            np.testing.assert_array_equal(a[path], b[path])
+
+
+def test_every_variable_is_in_the_documentation(written):
+    page = Path(__file__).parents[1] / "docs" / "batches.md"
+    rows = re.findall(
+        r"^\| `(summary|diagonal|full)` \| `(\w+)` \| ([\w, ]+) \| \S.*? \| \S.* \|$",
+        page.read_text(encoding="utf-8"), re.MULTILINE,
+    )  # fmt: skip
+    for keep in KEEP:
+        with estbench.open_results(written[keep].folder) as tree:
+            found = {str(k): ", ".join(map(str, v.dims)) for k, v in tree["ekf"].data_vars.items()}
+        levels = KEEP[: KEEP.index(keep) + 1]
+        listed = [(name, dims) for level, name, dims in rows if level in levels]
+        assert sorted(found.items()) == sorted(listed)
+    with estbench.open_results(written["full"].folder) as tree:
+        assert {*tree.data_vars, *tree["truth"].data_vars} == {"done", "unit", "x"}
 
 
 def test_a_finished_store_opens_by_one_file(written):

@@ -70,6 +70,15 @@ def state_space(model: mujoco.MjModel) -> Manifold:
     return Manifold(tuple(names), tuple(units), np.array(quaternions, np.intp).reshape(-1, 2))
 
 
+def state_names(space: Manifold) -> tuple[str, ...]:
+    """Name of each number of a state `(nx,)`: as its coordinate; a quaternion J.qw, ..., J.qz."""
+    names = list(space.names)
+    for start in sorted(space.quaternions[:, 1].tolist(), reverse=True):
+        joint = names[start].removesuffix(".rx")
+        names[start : start + 3] = [f"{joint}.q{axis}" for axis in "wxyz"]
+    return tuple(names)
+
+
 def sensor_type(model: mujoco.MjModel, index: int) -> str:
     """MJCF name of a sensor's type, e.g. `jointpos`."""
     return mujoco.mjtSensor(model.sensor_type[index]).name.removeprefix("mjSENS_").lower()
