@@ -2,6 +2,7 @@
 
 ```python blocks of one page run in order, in one namespace. In ```console and ```bash blocks the
 `estbench ...` commands run, `estbench run` cut short. A ```toml block is a scenario or part of one.
+A block after a line that ends in "`FILE`:" is that file, there for the page's commands.
 A block preceded by `<!-- no-test -->` is skipped.
 """
 
@@ -25,6 +26,10 @@ ROOT = Path(__file__).parents[1]
 PAGES = [p for p in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if p.is_file()]
 FENCE = re.compile(
     r"^(?P<skip><!-- no-test -->\s*\n)?(?P<indent> *)```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^ *```",
+    re.MULTILINE | re.DOTALL,
+)
+NAMED = re.compile(
+    r"`(?P<name>[\w.]+\.(?:xml|toml))`:\n\n```(?:xml|toml)\n(?P<text>.*?)^```",
     re.MULTILINE | re.DOTALL,
 )
 
@@ -53,7 +58,7 @@ def commands(page):
 
 
 COMMANDS = [
-    pytest.param(words, id=f"{page.name}:{line}: {shlex.join(words)}")
+    pytest.param(page, words, id=f"{page.name}:{line}: {shlex.join(words)}")
     for page in PAGES
     for line, words in commands(page)
 ]
@@ -82,9 +87,11 @@ def test_python_blocks(page, tmp_path, monkeypatch, capsys):
         exec(compile("\n" * line + text, str(page), "exec"), namespace)
 
 
-@pytest.mark.parametrize("words", COMMANDS)
-def test_commands(words, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("page", "words"), COMMANDS)
+def test_commands(page, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    for file in NAMED.finditer(page.read_text(encoding="utf-8")):
+        (tmp_path / file["name"]).write_text(file["text"], encoding="utf-8")
     short = ["--runs", "4", "--duration", "0.2"] if words[1] == "run" else []
     monkeypatch.setattr(sys, "argv", [*words, *short])
     with pytest.raises(SystemExit) as exit_:
@@ -97,7 +104,10 @@ def test_toml_blocks(page):
     for _, text in blocks(page, "toml"):
         data = tomllib.loads(text)
         if "project" not in data:  # but a package's pyproject.toml
-            Scenario.model_validate({"name": "part", "model": {"path": "robot.xml"}} | data)
+            scenario = {"name": "part", "model": {"path": "robot.xml"}} | data
+            Scenario.model_validate(scenario)
+            added = {name for name, c in scenario.get("channels", {}).items() if "add" in c}
+            assert added <= set(scenario.get("sensors", added)), "added, and not in use"
 
 
 def test_the_channels_of_the_documentation_are_those_of_a_robot(tmp_path, monkeypatch):
