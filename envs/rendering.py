@@ -1,6 +1,5 @@
 """Pictures of a robot with its estimate beside it, drawn as the reports draw them."""
 
-import copy
 import time
 
 import mujoco
@@ -28,7 +27,7 @@ class GhostRenderer:
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, camera: str | int | None = None
     ):
-        self._model = copy.copy(model)  # the offscreen buffer's size is set in it
+        self._model = scene.lit(model)
         self._camera, _ = render.find_camera(self._model, camera)
         self._look = width, height, camera
         self._renderer: render.Renderer | None = None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError
-from estbench.report.scene import add_belief, plain, pose
+from estbench.report.scene import add_belief, lit, plain, pose
 from estbench.report.window import start
 
 Array = NDArray[np.float64]
@@ -30,7 +30,8 @@ class Renderer:
     """Pixels of one robot, of its ghost and of the ghost's position covariance; no display needed.
 
     Args:
-        model: the robot; its offscreen buffer is enlarged where it is too small.
+        model: the robot; a copy of it is drawn (see `scene.lit`), its offscreen buffer enlarged
+            where it is too small.
         width, height: pixels.
         camera: name or number of a camera of the model, -1 for one that follows; default `view`,
             else its first, else one that follows.
@@ -46,7 +47,7 @@ class Renderer:
         height: int = 480,
         camera: str | int | None = None,
     ):
-        self.model = model
+        self.model = model = lit(model)
         self._rect = mujoco.MjrRect(0, 0, width, height)
         size = model.vis.global_
         size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)

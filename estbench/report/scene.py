@@ -4,6 +4,7 @@ These append to any `mujoco.MjvScene` and need no OpenGL: the report's pictures,
 view and the environments all draw with them.
 """
 
+import copy
 from collections.abc import Sequence
 
 import mujoco
@@ -19,7 +20,22 @@ SIGMAS = 3.0
 """Semi-axes of the ellipsoid in standard deviations."""
 THINNEST = 5e-3
 """Least semi-axis drawn, as part of the robot's size: a planar robot's ellipsoid is flat."""
+_AMBIENT, _DIFFUSE = 0.4, 0.8  # of the headlight where it is the only light
 _SWELL = 1.015  # a ghost exactly on the truth would fight with it for the same pixels
+
+
+def lit(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy to draw; the headlight is brighter where the model has no light of its own.
+
+    MuJoCo's headlight alone leaves a robot without a floor nearly black, and hidden by its ghost.
+    """
+    model = copy.copy(model)
+    if model.nlight == 0:
+        head = model.vis.headlight
+        head.ambient, head.diffuse = (
+            np.maximum(head.ambient, _AMBIENT), np.maximum(head.diffuse, _DIFFUSE),
+        )  # fmt: skip
+    return model
 
 
 def add_belief(

@@ -14,7 +14,7 @@ import numpy as np
 from estbench.errors import EstbenchError
 from estbench.report.player import COMMANDS, FRAME, KEYS, Player
 from estbench.report.render import find_camera
-from estbench.report.scene import add_belief
+from estbench.report.scene import add_belief, lit
 from estbench.report.window import Window
 
 LOOPBACK = "127.0.0.1"
@@ -208,7 +208,7 @@ def _imgui_keys(imgui: Any) -> dict[str, Any]:
 
 def _window(player: Player, port: int) -> None:
     """MuJoCo's desktop viewer."""
-    model = player.replay.model
+    model = lit(player.replay.model)
     data, ghost, passed = mujoco.MjData(model), Ghost(model), _clock()
 
     def key(code: int) -> None:

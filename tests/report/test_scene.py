@@ -101,6 +101,39 @@ def test_a_picture_has_the_ghost_in_it(quadrotor):
     assert render.png(alone).startswith(b"\x89PNG")
 
 
+UNLIT = """<mujoco>{}<worldbody>{}<body><joint type="hinge" axis="0 1 0"/>
+  <geom type="capsule" size="0.05" fromto="0 0 0 0 0 -0.4"/></body></worldbody></mujoco>"""
+
+
+@needs_gl
+def test_a_robot_without_a_light_is_not_left_in_the_dark(monkeypatch):
+    model = mujoco.MjModel.from_xml_string(UNLIT.format("", ""))
+
+    def brightness():
+        with render.Renderer(model, 80, 60) as renderer:
+            pixels = renderer.draw(np.array([0.5, 0.0]), np.array([0.6, 0.0]))
+        return pixels[pixels.any(axis=-1)].mean()  # of the robot: what is behind it is black
+
+    bright = brightness()
+    monkeypatch.setattr(render, "lit", lambda model: model)
+    assert bright > 2 * brightness()
+    assert bright > 80
+
+
+def test_a_light_of_its_own_or_a_bright_headlight_stays_as_it_is(quadrotor):
+    bright = '<visual><headlight ambient="0.9 0.9 0.9" diffuse="1 1 1"/></visual>'
+    for model in (
+        quadrotor.plant.model,
+        mujoco.MjModel.from_xml_string(UNLIT.format("", '<light pos="0 0 2"/>')),
+        mujoco.MjModel.from_xml_string(UNLIT.format(bright, "")),
+    ):
+        drawn = scene.lit(model)
+        assert drawn is not model
+        for what in ("ambient", "diffuse", "specular"):
+            now, before = (getattr(m.vis.headlight, what) for m in (drawn, model))
+            np.testing.assert_array_equal(now, before)
+
+
 def test_without_opengl_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(render, "_candidates", lambda: [])
     monkeypatch.setattr(render.platform, "system", lambda: "Linux")
