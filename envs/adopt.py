@@ -105,8 +105,7 @@ def adopt(
                 f"of {rate:g} Hz over a whole number"
             )
     if notices:  # the default sensors: one line says it all
-        std = [f"{c.name} ({np.sqrt(c.cov[0, 0]):g} {c.space.units[0]})" for c in channels]
-        assumed = [f"{notices[0]} {', '.join(std)}"]
+        assumed = [f"{notices[0]} {kits.summary(channels)}"]
     return Adopted(copied, tuple(channels), quiet, tuple(assumed))
 
 

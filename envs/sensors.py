@@ -7,14 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 from pydantic import ValidationError
 
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.models.layout import BALL, FREE, object_name
 from estbench.sections import ChannelSection
+from estbench.sensors import Channel
 
 Table = dict[str, dict[str, Any]]
 """Channel -> settings of `[channels.NAME]`; `type` and `object` may stand beside `noise`."""
+_MANY = {
+    "encoder": "joint encoders", "position": "positions", "attitude": "attitudes", "gyro": "gyros",
+}  # fmt: skip
 
 
 def encoders(model: mujoco.MjModel, pattern: str = "*", noise: float | None = None) -> Table:
@@ -72,6 +77,19 @@ def default(model: mujoco.MjModel) -> Table:
             table |= position_fix(body) | attitude_fix(body)
             table[f"{body}_gyro"] = _entry("gyro", body, "xbody", None)
     return table
+
+
+def summary(channels: Sequence[Channel]) -> str:
+    """Channels of `default` in a few words, those alike as one: `8 joint encoders (0.01 rad)`."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for channel in channels:
+        kind = channel.name.rpartition("_")[2]
+        noise = f"{np.sqrt(channel.cov[0, 0]):g} {channel.space.units[0]}"
+        alike.setdefault((kind, noise), []).append(channel.name)
+    return ", ".join(
+        f"{names[0] if len(names) == 1 else f'{len(names)} {_MANY[kind]}'} ({noise})"
+        for (kind, noise), names in alike.items()
+    )
 
 
 def sections(

@@ -274,6 +274,11 @@ def test_what_was_assumed_is_said_in_a_line(caplog):
     env = wrapped()
     assert len(env.notices) == 1
     assert "using slider_encoder (0.01 m), hinge_encoder (0.01 rad)" in caplog.text
+    (line,) = wrapped("Ant").notices
+    assert line.endswith(
+        "using 8 joint encoders (0.01 rad), torso_position (0.01 m), torso_attitude (0.01 rad), "
+        "torso_gyro (0.02 rad/s)"
+    )
     caplog.clear()
     assert not wrapped(sensors=SLIDE).notices
     assert not caplog.text
