@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.base import Estimator, Measurement, Passage
+from estbench.models.base import Model
 
 Array = NDArray[np.float64]
 
@@ -42,13 +43,13 @@ def follow(
         DimensionError: y, u or times do not fit each other or the prior, or times do not rise.
     """
     y = np.asarray(y, dtype=np.float64)
-    if y.ndim != 3 or y.shape[1] != len(mean):
-        raise DimensionError(f"y has shape {y.shape}; expected (step, {len(mean)}, ny)")
+    ny, nu = _widths(estimator, y, u)
+    if y.ndim != 3 or y.shape[1:] != (len(mean), ny):
+        raise DimensionError(f"y has shape {y.shape}; expected (step, {len(mean)}, {ny})")
     count, runs, _ = y.shape
-    nu = getattr(getattr(estimator, "model", None), "nu", 0)
     controls = np.zeros((count, runs, nu)) if u is None else np.asarray(u, dtype=np.float64)
-    if controls.ndim != 3 or controls.shape[:2] != (count, runs):
-        raise DimensionError(f"u has shape {controls.shape}; expected {(count, runs)} and nu")
+    if controls.shape != (count, runs, nu):
+        raise DimensionError(f"u has shape {controls.shape}; expected {(count, runs, nu)}")
     instants = np.asarray(range(count + 1) if times is None else times, dtype=np.float64)
     if instants.shape != (count + 1,) or not (np.diff(instants) > 0).all():
         raise DimensionError(
@@ -70,3 +71,11 @@ def follow(
                 passage.measurements[-1].append(m)
             passage.beliefs.append(belief)
     return passage
+
+
+def _widths(estimator: Estimator, y: Array, u: ArrayLike | None) -> tuple[int, int]:
+    """Numbers in a measurement and in a control: of the model, if the estimator shows one."""
+    model = getattr(estimator, "model", None)
+    if isinstance(model, Model):
+        return model.output().nx, model.nu
+    return np.shape(y)[-1], 0 if u is None else np.shape(u)[-1]

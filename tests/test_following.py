@@ -76,8 +76,9 @@ def test_one_component_may_be_missing_and_time_is_counted_in_steps():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"y": np.zeros((STEPS, 2))}, r"y has shape \(12, 2\); expected \(step, 5, ny\)"),
-        ({"u": np.zeros((STEPS - 1, RUNS, 1))}, r"u has shape \(11, 5, 1\); expected \(12, 5\)"),
+        ({"y": np.zeros((STEPS, 2))}, r"y has shape \(12, 2\); expected \(step, 5, 2\)"),
+        ({"y": np.zeros((STEPS, RUNS, 3))}, r"y has shape \(12, 5, 3\); expected \(step, 5, 2\)"),
+        ({"u": np.zeros((STEPS - 1, RUNS, 1))}, r"u has shape \(11, 5, 1\); expected \(12, 5, 1\)"),
         ({"times": np.arange(STEPS)}, r"times has shape \(12,\); expected 13 rising numbers"),
         ({"times": np.zeros(STEPS + 1)}, "13 rising numbers"),
     ],
