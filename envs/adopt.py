@@ -13,8 +13,8 @@ import numpy as np
 from estbench import sensors as channels_of
 from estbench.envs import sensors as kits
 from estbench.envs.errors import EnvError
-from estbench.errors import ScenarioError, did_you_mean
-from estbench.models import mjcf
+from estbench.errors import ScenarioError
+from estbench.models import added_sensors, mjcf
 from estbench.models.layout import object_name
 from estbench.models.parameters import SETTINGS
 from estbench.models.rows import engine
@@ -124,14 +124,15 @@ def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) ->
     """Compile the MJCF with sensors, then give it every parameter of the environment's model."""
     entries = {name: _at_site(add) for name, add in added.items()}
     _check_objects(model, added)
-    spec = mjcf.read(path, entries)
+    spec = mjcf.read(path)
     # What the compiler has to say of this MJCF it said when the environment was made.
     with warnings.catch_warnings(action="ignore", category=UserWarning), engine():
-        _name_everything(spec, path)
+        _name_everything(spec)
         for site, body in {
             (e.object, a.object) for e, a in zip(entries.values(), added.values()) if e is not a
         }:
             spec.body(body).add_site(name=site)
+        added_sensors.add(spec, entries, Path(path).name, "sensors.{}")
         compiled = mjcf.compile_model(spec, where="sensors")
     for size in ("nq", "nv", "na", "nu", "nbody", "ngeom", "njnt"):
         if getattr(compiled, size) != getattr(model, size):
@@ -144,21 +145,14 @@ def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) ->
     return compiled
 
 
-def _name_everything(spec: mujoco.MjSpec, path: str) -> None:
-    """Give joints and bodies without a name the one estbench calls them by.
-
-    Their numbers are known after compiling, which `spec` cannot be before its sensors find them.
-    """
+def _name_everything(spec: mujoco.MjSpec) -> None:
+    """Give joints and bodies without a name the one estbench calls them by."""
     if all(element.name for element in (*spec.joints, *spec.bodies)):
         return
-    plain = mjcf.read(path)
-    plain.compile()
-    for here, there, prefix in (
-        (spec.joints, plain.joints, "joint"),
-        (spec.bodies, plain.bodies, "body"),
-    ):
-        for element, compiled in zip(here, there):
-            element.name = element.name or f"{prefix}{compiled.id}"
+    spec.compile()  # their numbers are known after it
+    for elements, prefix in ((spec.joints, "joint"), (spec.bodies, "body")):
+        for element in elements:
+            element.name = element.name or f"{prefix}{element.id}"
 
 
 def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -207,15 +201,11 @@ def _at_site(add: Any) -> Any:
     return add
 
 
-def _check_objects(model: mujoco.MjModel, added: Mapping[str, Any]) -> None:
+def _check_objects(model: mujoco.MjModel, sensors: Mapping[str, Any]) -> None:
     """Raise where a sensor is to be added at a joint, body or site that is not there."""
-    counts = {"joint": model.njnt, "body": model.nbody, "site": model.nsite}
-    for name, add in added.items():
-        guess = "joint" if add.type.startswith(("joint", "ball")) else "site"
-        kind = (add.object_type or guess).removeprefix("x")
-        if kind in counts:
-            enum = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-            names = [object_name(model, enum, i, kind) for i in range(counts[kind])]
-            if add.object not in names:
-                hint = did_you_mean(add.object, names)
-                raise ScenarioError(f"sensors.{name}: the model has no {kind} '{add.object}'{hint}")
+    names = {}
+    for kind, count in (("joint", model.njnt), ("body", model.nbody), ("site", model.nsite)):
+        enum = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+        names[kind] = [object_name(model, enum, i, kind) for i in range(count)]
+    for name, sensor in sensors.items():
+        added_sensors.check_object(sensor, names, f"sensors.{name}.object")

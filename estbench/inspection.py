@@ -12,7 +12,7 @@ from rich.text import Text
 from estbench import controllers, observability, scenario, setup
 from estbench.errors import EstbenchError, ScenarioError
 from estbench.estimators import registry
-from estbench.models import layout, mjcf
+from estbench.models import added_sensors, layout, mjcf
 from estbench.models.rows import engine
 from estbench.sections import FilterSection, Scenario, TruthSection
 
@@ -27,7 +27,9 @@ def catalogue() -> dict[str, dict[str, str]]:
         },
         "estimators": {name: _first_line(target) for name, target in registry.known().items()},
         "controllers": controllers.KINDS,
-        "sensor types": {name: layout.SENSOR_UNITS.get(name, "") for name in mjcf.SENSOR_TYPES},
+        "sensor types": {
+            name: layout.SENSOR_UNITS.get(name, "") for name in added_sensors.SENSOR_TYPES
+        },
     }
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError, did_you_mean
+from estbench.models import added_sensors
 from estbench.models.parameters import changed
 
 Array = NDArray[np.float64]
@@ -25,19 +26,6 @@ INTEGRATORS = {
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-}
-SENSOR_TYPES = {
-    name.removeprefix("mjSENS_").lower(): getattr(mujoco.mjtSensor, name)
-    for name in dir(mujoco.mjtSensor)
-    if name.startswith("mjSENS_")
-}
-# Which kind of object a sensor of the type is attached to, where it is not a site.
-_OBJECTS = {
-    "joint": "joint",
-    "ball": "joint",
-    "tendon": "tendon",
-    "actuator": "actuator",
-    "subtree": "body",
 }
 
 
@@ -70,27 +58,14 @@ def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:
         sensors: name -> object with `type`, `object`, `object_type` (see `sections.AddSensor`).
 
     Raises:
-        ScenarioError: the MJCF cannot be parsed, or a sensor's type or object is unknown.
+        ScenarioError: the MJCF cannot be parsed, or a sensor cannot be added.
     """
     file = locate(path)
     try:
         spec = mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
         raise ScenarioError(f"{file} is not a valid MJCF: {_one_line(error)}") from None
-    for name, sensor in (sensors or {}).items():
-        if sensor.type not in SENSOR_TYPES:
-            hint = did_you_mean(sensor.type, SENSOR_TYPES)
-            raise ScenarioError(f"channels.{name}.add.type: no sensor type '{sensor.type}'{hint}")
-        kind = sensor.object_type or next(
-            (o for prefix, o in _OBJECTS.items() if sensor.type.startswith(prefix)), "site"
-        )
-        objtype = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
-        if objtype is None:
-            raise ScenarioError(
-                f"channels.{name}.add.object_type: no object type '{kind}'; use joint, site, ..."
-            )
-        attached = {"objtype": objtype, "objname": sensor.object} if sensor.object else {}
-        spec.add_sensor(name=name, type=SENSOR_TYPES[sensor.type], **attached)
+    added_sensors.add(spec, sensors or {}, file.name)
     return spec
 
 

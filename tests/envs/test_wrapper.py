@@ -331,7 +331,7 @@ def test_only_mujoco_environments():
         ({"sensors": ["gyro"]}, ScenarioError, "no sensor 'gyro'"),
         ({"sensors": []}, ScenarioError, "sensors is empty"),
         ({"sensors": {"a": {"type": "jointpos", "object": "slidr"}}}, ScenarioError,
-         "sensors.a: the model has no joint 'slidr' .did you mean 'slider'"),
+         r"sensors\.a\.object: the model has no joint 'slidr' .did you mean 'slider'"),
         ({"sensors": {"a": {"type": "jointposs", "object": "slider"}}}, ScenarioError,
          "no sensor type 'jointposs' .did you mean 'jointpos'"),
         ({"sensors": {"a": {"nose": 1, "rate": -1}}}, ScenarioError,

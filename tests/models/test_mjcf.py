@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.models import mjcf, parameters
+from estbench.models import added_sensors, mjcf, parameters
 from estbench.scenario import bundled
 from estbench.sections import AddSensor
 from tests.helpers import ZOO, zoo_model
@@ -140,7 +140,7 @@ def test_sensors_are_added_to_a_gymnasium_model(kind, obj, object_type, width):
     before = mjcf.compile_model(mjcf.read(HOPPER)).nsensor
     model = mjcf.compile_model(mjcf.read(HOPPER, sensor(kind, obj, object_type)))
     assert model.nsensor == before + 1
-    assert model.sensor("added").type[0] == mjcf.SENSOR_TYPES[kind]
+    assert model.sensor("added").type[0] == added_sensors.SENSOR_TYPES[kind]
     assert model.sensor("added").dim[0] == width
     if obj:
         find = {"jointpos": model.joint, "jointvel": model.joint, "framepos": model.geom}
@@ -168,12 +168,31 @@ def test_bad_sensors(added, message):
 
 
 @pytest.mark.parametrize(
-    ("kind", "obj"), [("jointpos", "knee"), ("gyro", "torso"), ("jointpos", "")]
+    ("kind", "obj", "message"),
+    [
+        ("jointpos", "foot_jiont", r"no joint 'foot_jiont' \(did you mean 'foot_joint'"),
+        ("jointpos", "knee", r"no joint 'knee' \(known: foot_joint, leg_joint, rootx, .*\)$"),
+        ("jointpos", "", "no joint '' "),
+        ("gyro", "torzo", "no site 'torzo', nor any other site with a name"),
+        ("framepos", "torso", "no site 'torso' but a body of this name: give object_type = 'body'"),
+    ],
 )
-def test_a_sensor_on_an_unknown_object(kind, obj):
+def test_a_sensor_on_an_unknown_object(kind, obj, message):
+    where = r"^channels\.added\.add\.object: hopper\.xml has "
+    with pytest.raises(ScenarioError, match=where + message):
+        mjcf.read(HOPPER, sensor(kind, obj))
+
+
+def test_a_sensor_of_a_kind_that_only_mujoco_checks():
     # MjSpec.copy() leaves out, without a word, what refers to nothing.
     with pytest.raises(ScenarioError, match="added"):
-        mjcf.compile_model(mjcf.read(HOPPER, sensor(kind, obj)))
+        mjcf.compile_model(mjcf.read(HOPPER, sensor("framepos", "foot", "geom")))
+
+
+def test_an_added_sensor_with_the_name_of_one_that_is_there():
+    message = r"^channels\.gyro\.add: cartpole\.xml has a sensor 'gyro' already; .* leave `add` out"
+    with pytest.raises(ScenarioError, match=message):
+        mjcf.read(CARTPOLE, {"gyro": AddSensor(type="gyro", object="imu")})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,97 @@
+"""Sensors that a scenario or an environment adds to a robot without touching its MJCF."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+
+from estbench.errors import ScenarioError, did_you_mean
+
+SENSOR_TYPES = {
+    name.removeprefix("mjSENS_").lower(): getattr(mujoco.mjtSensor, name)
+    for name in dir(mujoco.mjtSensor)
+    if name.startswith("mjSENS_")
+}
+# Which kind of object a sensor of the type is attached to, where it is not a site.
+_OBJECTS = {
+    "joint": "joint",
+    "ball": "joint",
+    "tendon": "tendon",
+    "actuator": "actuator",
+    "subtree": "body",
+}
+# Attached to nothing, or to whatever their author says.
+_FREE = ("clock", "e_potential", "e_kinetic", "user", "plugin")
+
+
+def object_kind(sensor: Any) -> str:
+    """Kind of the object that a sensor (see `sections.AddSensor`) is attached to."""
+    guess = (o for prefix, o in _OBJECTS.items() if sensor.type.startswith(prefix))
+    return sensor.object_type or next(guess, "site")
+
+
+def check_object(
+    sensor: Any, names: Mapping[str, Sequence[str]], where: str, robot: str = "the model"
+) -> None:
+    """Refuse a sensor at an object that is not there.
+
+    Args:
+        sensor: see `sections.AddSensor`.
+        names: kind of object -> names of those there are; other kinds are left to MuJoCo.
+        where: the setting that names the object.
+        robot: what has those objects, for the message.
+
+    Raises:
+        ScenarioError: there is no such object; the message says which there are.
+    """
+    kind = object_kind(sensor).removeprefix("x")  # an xbody is a body
+    if sensor.type in _FREE or kind not in names or sensor.object in names[kind]:
+        return
+    there = [name for name in names[kind] if name]
+    others = [other for other, known in names.items() if sensor.object and sensor.object in known]
+    if others and sensor.type.startswith("frame"):  # of a body, a geom, a site, ...
+        hint = f" but a {others[0]} of this name: give object_type = '{others[0]}'"
+    else:
+        hint = did_you_mean(sensor.object, there) or f", nor any other {kind} with a name"
+    raise ScenarioError(f"{where}: {robot} has no {kind} '{sensor.object}'{hint}")
+
+
+def add(
+    spec: mujoco.MjSpec, sensors: Mapping[str, Any], robot: str, where: str = "channels.{}.add"
+) -> None:
+    """Add sensors to a robot's description.
+
+    Args:
+        spec: it is changed.
+        sensors: name -> object with `type`, `object`, `object_type` (see `sections.AddSensor`).
+        robot: what the description is of, for messages.
+        where: the setting that adds a sensor of a name, for messages.
+
+    Raises:
+        ScenarioError: a sensor's type or object is unknown, or its name is taken.
+    """
+    declared = [sensor.name for sensor in spec.sensors]
+    names = {
+        "joint": [joint.name for joint in spec.joints],
+        "body": [body.name for body in spec.bodies],
+        "site": [site.name for site in spec.sites],
+    }
+    for name, sensor in sensors.items():
+        here = where.format(name)
+        if name in declared:
+            raise ScenarioError(
+                f"{here}: {robot} has a sensor '{name}' already; to use that one leave `add` out, "
+                "for a second one choose another name"
+            )
+        if sensor.type not in SENSOR_TYPES:
+            hint = did_you_mean(sensor.type, SENSOR_TYPES)
+            raise ScenarioError(f"{here}.type: no sensor type '{sensor.type}'{hint}")
+        kind = object_kind(sensor)
+        objtype = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
+        if objtype is None:
+            raise ScenarioError(
+                f"{here}.object_type: no object type '{kind}'; use joint, site, ..."
+            )
+        check_object(sensor, names, f"{here}.object", robot)
+        attached = {"objtype": objtype, "objname": sensor.object} if sensor.object else {}
+        spec.add_sensor(name=name, type=SENSOR_TYPES[sensor.type], **attached)
