@@ -17,6 +17,9 @@ from estbench.errors import ScenarioError
 
 Ints = NDArray[np.int64]
 
+MOST_INSTANTS = 5_000_000
+"""Most instants of a run: each takes half a kilobyte, these 2.5 GB."""
+
 
 @dataclass(frozen=True)
 class Native:
@@ -153,7 +156,11 @@ def instants(
         timestep: physics step, s.
         frame_skip: physics steps of a filter step.
         duration: s.
+
+    Raises:
+        ScenarioError: more than `MOST_INSTANTS`, or a jitter that would change the readings' order.
     """
+    _check_count(channels, timestep, frame_skip, duration)
     last_tick = max(1, round(duration / (timestep * frame_skip))) * frame_skip
     ticks = set(range(frame_skip, last_tick + 1, frame_skip))
     due: dict[int, list[str]] = {}
@@ -175,3 +182,24 @@ def instants(
         out.append(Instant(before * timestep, tick * timestep, tick - before, names, control, tick))
         before = tick
     return out
+
+
+def _check_count(
+    channels: Sequence[tuple[str, Timing]], timestep: float, frame_skip: int, duration: float
+) -> None:
+    """Refuse a run whose instants would not fit into memory, before any of them is made."""
+    # What falls on the filter's steps adds no instant, nor does a rhythm that another channel has.
+    between = {
+        timing
+        for _, timing in channels
+        if timing.jitter or timing.uneven or timing.period % frame_skip or timing.phase % frame_skip
+    }
+    rates = [(2 * t.jitter + 1) / (t.uneven[1] if t.uneven else t.period) for t in between]
+    ticks = duration / timestep
+    steps, count = ticks / frame_skip, ticks * min(1.0, 1 / frame_skip + sum(rates))
+    if count > MOST_INSTANTS:
+        raise ScenarioError(
+            f"duration is {duration:g} s: {steps:.3g} steps of {frame_skip * timestep:g} s, with "
+            f"the readings between them {count:.3g} instants, and a run has at most "
+            f"{MOST_INSTANTS:,}; it is in seconds: shorten it, or raise model.frame_skip"
+        )

@@ -87,6 +87,21 @@ def test_jittered_instants_are_instants_and_jitter_is_less_than_half_a_period():
         instants([("a", Timing(6, jitter=3, timestep=0.01))], 0.01, 1, 0.2)
 
 
+def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
+    # Steps of 2 ticks; readings every 4 add no instant; every 5 they may.
+    named = [("a", Timing(4)), ("b", Timing(5))]
+    assert len(instants(named, 0.01, 2, 0.2)) == 10 + 2
+    monkeypatch.setattr("estbench.timing.MOST_INSTANTS", 15)
+    assert instants(named, 0.01, 2, 0.2)
+    message = r"is 1e\+09 s: 5e\+10 steps of 0\.02 s.* 7e\+10 instants.*at most 15; .*seconds"
+    with pytest.raises(ScenarioError, match=message):
+        instants(named, 0.01, 2, 1e9)
+    every = [("a", Timing(1)), ("b", Timing(3, jitter=1))]  # never more than one a tick
+    assert len(instants(every, 0.01, 2, 0.14)) == 14
+    with pytest.raises(ScenarioError, match="16 instants"):
+        instants(every, 0.01, 2, 0.16)
+
+
 # MuJoCo's own interval and delay
 
 T = 1 / 128  # exact in binary: MuJoCo's clock then does not drift
