@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dposv
 
 from estbench.envs.merge import select
 from estbench.envs.replay import Measurement, Memory
-from estbench.errors import EstbenchError, EstimatorError
+from estbench.errors import EstbenchError, EstimatorError, told
 from estbench.estimators.base import Estimator, Innovation
 from estbench.linalg import quadratic_form, surely_finite
 from estbench.manifold import Manifold
@@ -192,9 +192,7 @@ class FilterBank:
         except EstbenchError:
             raise
         except Exception as error:  # a user's estimator may raise anything
-            raise EstimatorError(
-                f"{self._label}.{verb} raised {type(error).__name__}: {error}"
-            ) from error
+            raise EstimatorError(f"{self._label}.{verb} raised {told(error)}") from error
 
 
 def _without_nan(values: Array, instead: float = 0.0) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench import records, setup, streams
-from estbench.errors import EstbenchError, EstimatorError
+from estbench.errors import EstbenchError, EstimatorError, told
 from estbench.filtering import Live, Recorded, run_filter
 from estbench.innovations import readings
 from estbench.traces import Traces
@@ -111,7 +111,7 @@ def traced(
         except (EstbenchError, MemoryError):
             raise
         except Exception as error:  # a user's estimator may raise anything
-            raise EstimatorError(f"{label} raised {type(error).__name__}: {error}") from error
+            raise EstimatorError(f"{label} raised {told(error)}") from error
         yield label, traces
         if traces is None:
             return

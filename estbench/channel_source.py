@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from estbench import users
-from estbench.errors import DimensionError, ScenarioError
+from estbench.errors import DimensionError, ScenarioError, told
 from estbench.manifold import Manifold
 from estbench.models import layout
 from estbench.models.reading import Source, StateFunction
@@ -68,7 +68,7 @@ def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjM
         width = np.shape(called(x, u, 0.0))[-1]
     except Exception as error:  # a user's function may raise anything
         raise ScenarioError(
-            f"{where} raised {type(error).__name__} for x of shape {x.shape}: {error}; it is "
+            f"{where} raised for x of shape {x.shape}: {told(error)}; it is "
             "called as h(x, u, t) and returns (..., m)"
         ) from None
     suffixes = layout.suffixes(width)

@@ -16,7 +16,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from estbench import streams
-from estbench.errors import ControllerError, DimensionError, EstimatorError
+from estbench.errors import ControllerError, DimensionError, EstimatorError, told
 from estbench.estimators.registry import load_module
 from estbench.manifold import Manifold
 from estbench.models.layout import actuator_names
@@ -111,7 +111,7 @@ def checked(controller: Controller, what: str, nu: int) -> Controller:
             u = np.array(controller(k, t, x), dtype=np.float64)
         except Exception as error:  # a user's function may raise anything
             raise ControllerError(
-                f"controller '{what}' raised at t = {t:g} s: {type(error).__name__}: {error}"
+                f"controller '{what}' raised at t = {t:g} s: {told(error)}"
             ) from None
         try:
             u = np.broadcast_to(u, (len(x), nu))

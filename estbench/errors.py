@@ -5,7 +5,13 @@ line and exits with code 2.
 """
 
 import difflib
+import sys
+import traceback
 from collections.abc import Iterable
+from pathlib import Path
+
+# Packages whose lines tell a user nothing: the mistake is where they were called from.
+_OTHERS = sys.stdlib_module_names | {"estbench", "numpy", "scipy", "mujoco"}
 
 
 class EstbenchError(Exception):
@@ -69,3 +75,25 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     if close:
         return " (did you mean " + " or ".join(f"'{c}'" for c in close) + "?)"
     return f" (known: {', '.join(known)})" if known else ""
+
+
+def told(error: BaseException) -> str:
+    """What a user's code raised, and where: `KeyError: 'gain' (mine.py:12, in update)`.
+
+    The place is the innermost line of the user's files: those of the folder of the first file that
+    is neither estbench's nor of what it stands on. Where there is none it is left out, as it is of
+    a syntax error, which says itself where it is.
+    """
+    text = f"{type(error).__name__}: {error}"
+    if isinstance(error, SyntaxError):
+        return text
+    frames = [
+        (Path(frame.f_code.co_filename), line, frame.f_code.co_name)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if frame.f_globals.get("__name__", "").partition(".")[0] not in _OTHERS
+    ]
+    own = [frame for frame in frames if frame[0].parent == frames[0][0].parent]
+    if not own:
+        return text
+    file, line, name = own[-1]
+    return f"{text} ({file.name}:{line}, in {name})"

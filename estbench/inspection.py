@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estbench import controllers, observability, scenario, setup
-from estbench.errors import EstbenchError, ScenarioError
+from estbench.errors import EstbenchError, ScenarioError, told
 from estbench.estimators import registry
 from estbench.models import added_sensors, layout, mjcf
 from estbench.models.rows import engine
@@ -38,7 +38,7 @@ def _first_line(target: str) -> str:
     try:
         doc = getattr(importlib.import_module(module), name).__doc__ or ""
     except Exception as error:  # a broken plug-in must not break the list
-        return f"cannot be imported: {type(error).__name__}: {error}"
+        return f"cannot be imported: {told(error)}"
     return doc.strip().splitlines()[0] if doc.strip() else ""
 
 

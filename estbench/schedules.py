@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench import users
-from estbench.errors import CovarianceError, ScenarioError
+from estbench.errors import CovarianceError, ScenarioError, told
 from estbench.linalg import is_positive_definite, is_positive_semidefinite
 
 Array = NDArray[np.float64]
@@ -74,9 +74,7 @@ class User:
         try:
             value = np.asarray(self.function(t), dtype=np.float64)
         except Exception as error:  # a user's function may raise anything
-            raise ScenarioError(
-                f"{self.where} raised at t = {t:g} s: {type(error).__name__}: {error}"
-            ) from None
+            raise ScenarioError(f"{self.where} raised at t = {t:g} s: {told(error)}") from None
         if value.shape == (self.axes, self.axes):
             return self._covariance(value, t)
         if value.shape not in ((), (self.axes,)) or not ((value > 0) & (value < np.inf)).all():

@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from estbench.errors import EstbenchError, EstimatorError, did_you_mean
+from estbench.errors import EstbenchError, EstimatorError, did_you_mean, told
 from estbench.estimators.base import Estimator
 from estbench.models.base import Model
 
@@ -106,9 +106,7 @@ def load_module(module: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except Exception as error:  # a user's module may raise anything
-        raise EstimatorError(
-            f"{what}: cannot import '{module}': {type(error).__name__}: {error}"
-        ) from None
+        raise EstimatorError(f"{what}: cannot import '{module}': {told(error)}") from None
 
 
 def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
@@ -137,6 +135,4 @@ def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
     except EstbenchError:
         raise
     except Exception as error:
-        raise EstimatorError(
-            f"{label}: {name}(model, {arguments}) raised {type(error).__name__}: {error}"
-        ) from None
+        raise EstimatorError(f"{label}: {name}(model, {arguments}) raised {told(error)}") from None

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import ScenarioError
+from estbench.errors import ScenarioError, told
 from estbench.manifold import Manifold, product
 from estbench.models import layout
 from estbench.models.rows import Rows
@@ -63,7 +63,7 @@ class Source:
             y = np.asarray(self.function(x.copy(), u, t), dtype=np.float64)
         except Exception as error:  # a user's function may raise anything
             raise ScenarioError(
-                f"{self.name} raised {type(error).__name__} for x of shape {x.shape}: {error}"
+                f"{self.name} raised for x of shape {x.shape}: {told(error)}"
             ) from None
         expected = (*x.shape[:-1], self.space.nx)
         if y.shape != expected:
