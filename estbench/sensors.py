@@ -1,5 +1,6 @@
 """Sensors: which channels a scenario uses, and what each is: source, noise, flaws, timing."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +14,6 @@ from estbench.errors import ScenarioError, did_you_mean
 from estbench.imperfections import Imperfections
 from estbench.manifold import Manifold
 from estbench.models import layout
-from estbench.models.mujoco import whole_steps
 from estbench.models.reading import Source
 from estbench.sections import BelievedChannelSection, ChannelSection
 from estbench.timing import Native, Timing
@@ -248,7 +248,7 @@ def _timing(
         )
     timing = (native[0] if native else Native()).timing(timestep, frame_skip)
     if section.rate is not None:
-        period = whole_steps(1.0 / section.rate, timestep, f"{where}: 1/rate")
+        period = _period(section.rate, timestep, f"{where}.rate")
         timing = replace(timing, period=period, phase=0, uneven=None, slots=0)
     if section.phase is not None:
         # As MuJoCo does: a reading is taken at the first step that is not earlier.
@@ -264,3 +264,17 @@ def _timing(
             "a sampling time is a whole count of physics steps; use a smaller model.timestep"
         )
     return replace(timing, jitter=jitter, latency_std=section.latency_std / timestep)
+
+
+def _period(rate: float, timestep: float, where: str) -> int:
+    """Physics steps between the readings of a rate in Hz, which must be a whole count of them."""
+    steps = 1.0 / rate / timestep
+    period = round(steps)
+    if period < 1 or abs(steps - period) > 1e-6 * max(1.0, steps):
+        around = {max(1, math.ceil(steps)): None, max(1, math.floor(steps)): None}
+        fitting = [f"{1 / (count * timestep):.8g}" for count in around]
+        raise ScenarioError(
+            f"{where} is {rate:g} Hz, a reading every {steps:.8g} physics steps of {timestep:g} s; "
+            f"a whole count is needed: use {' or '.join(fitting)} Hz, or another model.timestep"
+        )
+    return period

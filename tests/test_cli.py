@@ -381,7 +381,7 @@ BAD = {
     ),
     "rate": (
         ("run", "cartpole", "--set", "channels.pole_encoder.rate=60"),
-        r"pole_encoder: 1/rate = 0.0166667 s is not a multiple of the timestep 0.01 s",
+        r"channels.pole_encoder.rate is 60 Hz, .* steps of 0.01 s; .* use 50 or 100 Hz",
     ),
     "filter timestep": (("run", "cartpole", "--set", "filter.timestep=0.004"), "not a multiple of"),
     "out exists": (("run", "cartpole", *SHORT, "--out", "taken"), "taken exists; choose another"),

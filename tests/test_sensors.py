@@ -126,8 +126,12 @@ def test_a_bad_choice(use, error, message):
         ({"cov": [[1]]}, DimensionError, r"gyro\.cov has shape \(1, 1\); expected \(3, 3\)"),
         ({"cov": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, CovarianceError, r"gyro\.cov \(R\)"),
         ({"cov": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, CovarianceError, "not symmetric positive"),
-        ({"rate": 100}, ScenarioError, r"gyro: 1/rate = 0\.01 s is not a multiple of .* 0\.004"),
-        ({"rate": 1000}, ScenarioError, r"nearest: 0\.004 s"),
+        (
+            {"rate": 100},
+            ScenarioError,
+            r"gyro\.rate is 100 Hz, a reading every 2\.5 .* steps of 0\.004 s; .* 83\.333333 or 125 Hz",
+        ),
+        ({"rate": 1000}, ScenarioError, r"gyro\.rate is 1000 Hz, .* every 0\.25 .* use 250 Hz, or"),
     ],
 )
 def test_bad_channels(section, error, message):
