@@ -241,6 +241,7 @@ def _collect(
         names=prepared.space.names,
         units=prepared.space.units,
         times=prepared.times,
+        steps=sum(instant.control for instant in prepared.instants),
         runs=tuple(runs),
         summaries=tuple(
             statistics.summarize(label, record, runs, prepared.times, section)

@@ -38,6 +38,7 @@ class Results:
         scenario: as resolved.
         names, units: of the tangent coordinates.
         times: instants, s.
+        steps: control steps of a run; readings between them make more instants.
         runs: numbers of the finished runs.
         summaries: one an estimator.
         records: label -> per-run and per-step arrays (`records.SUMMARY`).
@@ -51,6 +52,7 @@ class Results:
     names: tuple[str, ...]
     units: tuple[str, ...]
     times: Array
+    steps: int
     runs: tuple[int, ...]
     summaries: tuple[Summary, ...]
     records: dict[str, Record]
@@ -68,13 +70,20 @@ class Results:
             console.print(self.render())
         return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
+    @property
+    def length(self) -> str:
+        """How long a run is: control steps, and instants where readings fall between them."""
+        instants = len(self.times) - 1
+        between = "" if instants == self.steps else f", {instants} instants"
+        return f"{self.steps} steps{between}"
+
     def render(self) -> Group:
         """The tables for a rich console."""
         simulation = self.scenario.simulation
         done = len(self.runs)
         title = (
-            f"{self.scenario.name}: {done} runs x {self.times[-1]:g} s "
-            f"({len(self.times) - 1} steps), seed {simulation.seed}"
+            f"{self.scenario.name}: {done} runs x {self.times[-1]:g} s ({self.length}), "
+            f"seed {simulation.seed}"
         )
         if self.interrupted:
             title += f" [interrupted: {done} of {simulation.runs} runs finished]"

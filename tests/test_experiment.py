@@ -367,3 +367,13 @@ def test_traces_are_kept_while_they_are_small(tmp_path, monkeypatch):
     assert_same(large.records, asked.records)
     again = run(out=tmp_path / "asked", estimators=["ekf", "ukf"], resume=True)
     assert again["ekf"].anees == asked["ekf"].anees
+
+
+def test_the_header_counts_control_steps_and_instants():
+    even = estbench.run("cartpole", ["ekf"], runs=2, duration=0.2)
+    assert str(even).startswith("cartpole: 2 runs x 0.2 s (20 steps), seed 0\n")
+    # Control every 2 physics steps, a reading every 5: 10 steps, and 2 readings between them.
+    changes = ["model.frame_skip=2", "channels.pole_encoder.rate=20"]
+    changes += ['sensors=["pole_encoder"]']
+    mixed = estbench.run("cartpole", ["ekf"], runs=2, duration=0.2, overrides=changes)
+    assert str(mixed).startswith("cartpole: 2 runs x 0.2 s (10 steps, 12 instants), seed 0\n")

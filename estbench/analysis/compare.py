@@ -130,7 +130,7 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
     simulation = stores[0].scenario.simulation
     return Contest(
         title=f"{stores[0].scenario.name}: {len(runs)} runs x {stores[0].times[-1]:g} s "
-        f"({len(stores[0].times) - 1} steps), seed {simulation.seed}",
+        f"({len(stores[0].times) - 1} instants), seed {simulation.seed}",
         stores=tuple(stores),
         findings=tuple(findings),
         runs=runs,

@@ -194,7 +194,7 @@ def markdown(boards: Sequence[Board]) -> str:
 def _title(board: Board) -> str:
     r = board.results
     return (
-        f"{board.name}: {len(r.runs)} runs x {r.times[-1]:g} s ({len(r.times) - 1} steps), "
+        f"{board.name}: {len(r.runs)} runs x {r.times[-1]:g} s ({r.length}), "
         f"seed {r.scenario.simulation.seed}"
     )
 

@@ -90,7 +90,7 @@ def facts(source: Stored) -> Facts:
         count += f" finished of {source.total}"
     rows = [
         ("runs", count),
-        ("duration", f"{source.times[-1]:g} s in {len(source.times) - 1} steps"),
+        ("duration", f"{source.times[-1]:g} s in {len(source.times) - 1} instants"),
         ("seed", f"{attrs.get('seed', simulation.seed)}"),
         ("control", f"{scenario.control.kind}, seeing the {scenario.control.observe}"),
         ("estimators", ", ".join(attrs["estimators"])),

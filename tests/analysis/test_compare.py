@@ -28,7 +28,7 @@ def test_one_store(stores):
     (contest,) = comparison.contests
     assert [f.key for f in contest.findings] == ["ekf", "ukf", "kf", "ckf", "iekf", "sr_ekf"]
     assert len(contest.pairs) == 15
-    assert contest.title == "cartpole: 24 runs x 0.2 s (20 steps), seed 0"
+    assert contest.title == "cartpole: 24 runs x 0.2 s (20 instants), seed 0"
     assert [(r.place, r.last, r.tied) for r in contest.ranks] == [(1, 6, True)] * 6
 
 
