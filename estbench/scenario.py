@@ -192,6 +192,11 @@ def _find(source: str | Path) -> Path:
     known = bundled()
     if str(source) in known:
         return known[str(source)]
+    near = [
+        f"'{path}{suffix}'" for suffix in (".toml", ".xml") if Path(f"{path}{suffix}").is_file()
+    ]
+    if near:
+        raise ScenarioError(f"no scenario '{source}' (did you mean {' or '.join(near)}?)")
     kind = "file" if path.suffix in (".toml", ".xml") else "scenario"
     raise ScenarioError(f"no {kind} '{source}'{did_you_mean(str(source), known)}")
 

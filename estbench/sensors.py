@@ -20,6 +20,8 @@ from estbench.timing import Native, Timing
 
 Array = NDArray[np.float64]
 
+_ADD = "add <sensor> elements, or [channels.NAME] add = {type = 'jointpos', object = 'JOINT'}"
+
 
 @dataclass(frozen=True, eq=False)
 class Channel:
@@ -157,10 +159,7 @@ def build(
         columns = source.columns(model)
         channels.append(Channel(name, source, read, kind, cov, columns, timing, part, schedule))
     if not channels:
-        raise ScenarioError(
-            "no sensor: the MJCF declares none in use; add <sensor> elements, or "
-            "[channels.NAME] add = {type = 'jointpos', object = 'JOINT'}"
-        )
+        raise ScenarioError(f"no sensor: the MJCF declares none in use; {_ADD}")
     return channels, notices
 
 
@@ -190,7 +189,8 @@ def _check_names(where: str, wanted: Iterable[str], known: Sequence[str]) -> Non
     """Refuse names that no sensor has."""
     unknown = [f"no sensor '{n}'{did_you_mean(n, known)}" for n in wanted if n not in known]
     if unknown:
-        raise ScenarioError(f"{where}: {'; '.join(unknown)}")
+        none = "" if known else f"; the MJCF declares none: {_ADD}"
+        raise ScenarioError(f"{where}: {'; '.join(unknown)}{none}")
 
 
 def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:

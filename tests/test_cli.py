@@ -38,6 +38,7 @@ FILES = {
     "wrong.toml": "name = 'a'\n[model]\npath = 'robot.xml'\nframeskip = 2\n[simulation]\nrun = 3\n"
     "duration = 'long'\n[channels.encoder]\nnois = 1\n[extra]\n",
     "u.csv": "0,1,2\n",
+    "filter_here.py": "",
     "taken/notes.txt": "dear",
 }
 
@@ -273,6 +274,15 @@ BAD = {
     "folder": (("run", "taken"), "no scenario 'taken'"),
     "estimator": (("run", "cartpole", "-e", "ekff"), "no estimator 'ekff' .did you mean 'ekf'"),
     "estimator module": (("run", "cartpole", "-e", "no.such:X"), "cannot import 'no.such'"),
+    "estimator's file": (
+        ("run", "cartpole", "-e", "./filter_here.py:Mine"),
+        r"estimator './filter_here.py:Mine': './filter_here.py' is a file; name its module, 'filter_here'$",
+    ),
+    "suffix": (("run", "still"), r"no scenario 'still' \(did you mean 'still.xml'\?\)$"),
+    "sensors of none": (
+        ("run", "blind.xml", "--set", 'sensors=["gyr"]'),
+        "sensors: no sensor 'gyr'; the MJCF declares none: add <sensor> elements",
+    ),
     "estimator after the colon": (
         ("run", "cartpole", "-e", "mine:"),
         "estimator 'mine:': the name after the colon is missing",

@@ -103,6 +103,9 @@ def load_module(module: str, what: str) -> Any:
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)
+    if module.endswith(".py") and Path(module).is_file():
+        name = ".".join(Path(module).with_suffix("").parts)
+        raise EstimatorError(f"{what}: '{module}' is a file; name its module, '{name}'")
     try:
         return importlib.import_module(module)
     except Exception as error:  # a user's module may raise anything

@@ -172,7 +172,9 @@ def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array
         key = 0
     index = names.index(key) if key in names else key if isinstance(key, int) else -1
     if not 0 <= index < model.nkey:
-        raise ScenarioError(f"model.keyframe: no keyframe '{key}'{did_you_mean(str(key), names)}")
+        known = [name or str(i) for i, name in enumerate(names)]
+        hint = did_you_mean(str(key), known) or "; the MJCF has none: leave model.keyframe out"
+        raise ScenarioError(f"model.keyframe: no keyframe '{key}'{hint}")
     x = np.concatenate([model.key_qpos[index], model.key_qvel[index], model.key_act[index]])
     return x, model.key_ctrl[index].copy()
 

@@ -198,7 +198,7 @@ def _error(paper: Paper) -> Figure:
     run = paper.run if paper.run is not None else int(entry.source.runs[anees.argmax()])
     found = [traces.run_trace(e, run, data.POINTS) for e in paper.entries]
     if not any(found):
-        raise StoreError(f"there is no finished run {run}; choose another --run")
+        raise entry.no_run(run)
     figure, axes = _grid(paper, len(chosen))
     for ax, i in zip(axes, chosen):
         settled = 0.0

@@ -76,10 +76,7 @@ def replay(
             raise EstbenchError("--set changes a scenario, not results that are there already")
         entry = load([source], [estimator] if estimator else ())[0]
         if entry.position(run) is None:
-            raise StoreError(
-                f"{source} has no finished run {run}; it has {len(entry.source.runs)} runs, "
-                f"{entry.source.runs.min()} to {entry.source.runs.max()}"
-            )
+            raise entry.no_run(run)
         return of_entry(entry, run)
     chosen = [estimator] if estimator else None
     scenario = experiment.resolve(source, chosen, overrides=overrides)

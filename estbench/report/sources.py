@@ -49,6 +49,14 @@ class Entry:
         found = np.flatnonzero(read(self.source.tree, "run") == run)
         return int(found[0]) if len(found) and run in self.source.runs else None
 
+    def no_run(self, run: int) -> StoreError:
+        """What to raise where a run is asked for that is not there."""
+        runs = self.source.runs
+        return StoreError(
+            f"{self.source.folder} has no finished run {run}; it has {len(runs)} runs, "
+            f"{runs.min()} to {runs.max()}"
+        )
+
 
 def load(folders: Sequence[str | Path], estimators: Sequence[str] = ()) -> list[Entry]:
     """The estimators of some results folders, in order.

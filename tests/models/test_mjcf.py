@@ -256,6 +256,13 @@ def test_no_such_keyframe(key):
         mjcf.keyframe(mujoco.MjModel.from_xml_string(KEYS), key)
 
 
+def test_no_keyframe_at_all():
+    with pytest.raises(
+        ScenarioError, match=r"no keyframe 'home'; the MJCF has none: leave .* out$"
+    ):
+        mjcf.keyframe(zoo_model("contact"), "home")
+
+
 def test_clamp():
     model = zoo_model("joints")  # lifter is limited to ±1, swinger is free
     u = np.array([[[-5.0, -5.0], [0.5, 0.5]], [[2.0, 7.0], [-1.0, 0.0]]])
