@@ -41,14 +41,15 @@ class Actions:
             dtype=np.float32,
         )
 
-    def controls(self, actions: NDArray[Any], rows: int) -> Array:
-        """Controls `(row, nu)` of actions `(row, nu)` in the space.
+    def controls(self, actions: NDArray[Any], rows: int | None = None) -> Array:
+        """Controls `(row, nu)` of actions `(row, nu)` in the space; without `rows`, of one `(nu,)`.
 
         Raises:
             EnvError: another shape, or a value outside the space.
         """
         values = np.asarray(actions, np.float64)
-        check(values, self.space, (rows, len(self._names)), self._names)
+        axes = (len(self._names),)
+        check(values, self.space, axes if rows is None else (rows, *axes), self._names)
         return self._centre + self._scale * values
 
     def actions(self, controls: Array) -> NDArray[np.float32]:

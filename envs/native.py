@@ -97,7 +97,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         """
         if not self._running:
             raise EnvError("step() after the end of an episode, or before the first; call reset()")
-        u = self._actions.controls(np.asarray(action)[None], 1)
+        u = self._actions.controls(np.asarray(action))[None]
         reward, ended, late = self.world.step(u)
         self._running = not (ended[0] or late[0])
         if self.render_mode == "human":

@@ -276,7 +276,7 @@ BAD = {
     "estimator module": (("run", "cartpole", "-e", "no.such:X"), "cannot import 'no.such'"),
     "estimator's file": (
         ("run", "cartpole", "-e", "./filter_here.py:Mine"),
-        r"estimator './filter_here.py:Mine': './filter_here.py' is a file; name its module, 'filter_here'$",
+        r"'./filter_here.py' is a file; name its module, 'filter_here'$",
     ),
     "suffix": (("run", "still"), r"no scenario 'still' \(did you mean 'still.xml'\?\)$"),
     "sensors of none": (

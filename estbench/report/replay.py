@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estbench import experiment, setup
 from estbench.analysis.load import array
 from estbench.consistency import chi_square_band
-from estbench.errors import EstbenchError, EstimatorError, StoreError
+from estbench.errors import EstbenchError, EstimatorError
 from estbench.models.rows import engine
 from estbench.report.sources import Entry, load
 from estbench.sections import Scenario

@@ -76,7 +76,7 @@ def test_bad_input(entries, store, tmp_path):
         plots.plot(paper, "nees", tmp_path / "no" / "a.png")
     with pytest.raises(StoreError, match="needs traces"):
         plots.plot(plots.Paper(sources.load([store("bare")])), "error", tmp_path / "a.png")
-    with pytest.raises(StoreError, match="no finished run 99; it has 12 runs, 0 to 11$"):
+    with pytest.raises(StoreError, match="no finished run 99; it has 12 runs, 0 to 11"):
         plots.plot(plots.Paper(entries("two"), run=99), "error", tmp_path / "a.png")
     with pytest.raises(EstbenchError, match="did you mean 'hinge'"):
         plots.plot(plots.Paper(entries("two"), coordinates=["hing"]), "rmse", tmp_path / "a.png")
