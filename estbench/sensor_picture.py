@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.destination import check_file
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.models.rows import engine
 from estbench.sensor_table import latency, rate
@@ -109,6 +110,7 @@ def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
     """
     if path.suffix.lstrip(".").lower() not in FORMATS:
         raise EstbenchError(f"--out '{path}' is no picture; end it in .{', .'.join(FORMATS)}")
+    check_file(path)
     figure = draw(record(setup, seconds, run), f"{setup.scenario.name}, run {run}")
     try:
         figure.savefig(path, dpi=130)

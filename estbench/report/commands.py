@@ -60,9 +60,12 @@ def plot(
     ] = None,
 ) -> None:
     """Draw one of the report's figures for a paper."""
+    from estbench.destination import check_file
     from estbench.report import plots
     from estbench.report.sources import load
 
+    if out is not None:
+        check_file(out)
     path = out if out is not None else folders[0] / f"{what}.{format_}"
     paper = plots.Paper(load(folders, estimator or ()), columns, run, coordinate or ())
     plots.plot(paper, what, path)

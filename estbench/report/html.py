@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estbench
+from estbench.destination import check_file
 from estbench.errors import MissingExtraError, StoreError
 from estbench.lags import LAGS
 from estbench.report import data, facts, pictures, tables, traces
@@ -60,6 +61,8 @@ def write_report(
     Raises:
         StoreError: a folder cannot be read, or the file cannot be written.
     """
+    if out is not None:
+        check_file(Path(out))
     entries = load(folders, estimators)
     path = Path(out) if out is not None else Path(folders[0]) / "report.html"
     page = render(entries, video, say)

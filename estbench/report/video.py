@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.destination import check_file
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.report.render import Renderer
 from estbench.report.replay import Replay
@@ -123,8 +124,7 @@ def check(path: Path, at: float | None) -> None:
         raise EstbenchError(f"--out {path}: no such format; use {', '.join(FORMATS)}")
     if (kind == ".png") != (at is not None):
         raise EstbenchError("a .png is one frame: give --at its time in s (and only then)")
-    if not path.parent.is_dir():
-        raise StoreError(f"{path} cannot be written: there is no folder {path.parent}")
+    check_file(path)
     if kind == ".mp4":
         _encoder()
 

@@ -106,6 +106,10 @@ def test_mistakes(store, monkeypatch, capsys, tmp_path):
     for words, expected in (
         (("report", tmp_path), "holds no data.zarr"),
         (("report", tmp_path / "none"), "holds no data.zarr"),
+        # The path is refused before the folder is read, which is not there either.
+        (("report", tmp_path / "none", "-o", tmp_path / "no" / "a.html"), "there is no folder"),
+        (("plot", tmp_path / "none", "-o", tmp_path / "no" / "a.pdf"), "there is no folder"),
+        (("video", "pendulm", "-o", tmp_path / "no" / "a.mp4"), "there is no folder"),
         (("report", store("two"), "-e", "kff"), "no estimator 'kff'"),
         (("report", store("two"), store("full")), "read stores of one robot together"),
         (("plot", store("bare"), "--what", "error"), "needs traces"),
