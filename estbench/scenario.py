@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from estbench.errors import EstimatorError, ScenarioError, did_you_mean
 from estbench.estimators import registry
 from estbench.mistakes import explain
-from estbench.sections import Scenario, StartSection
+from estbench.sections import Scenario, SimulationSection, StartSection
 
 __all__ = ["Scenario", "bundled", "changes", "load", "override", "parse", "resolve", "start"]
 
@@ -92,9 +92,9 @@ def resolve(
         EstimatorError: an estimator is not known, named twice, or its label is another's.
     """
     simulation = {"runs": runs, "seed": seed, "duration": duration}
-    overrides = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None] + [
-        *overrides
-    ]
+    options = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None]
+    _check_options(options)
+    overrides = [*options, *overrides]
     if isinstance(scenario, Scenario):
         resolved = override(scenario, overrides)
     else:
@@ -112,6 +112,19 @@ def resolve(
     if "truth" in resolved.estimators:
         raise ScenarioError("estimators.truth: the label 'truth' is taken; choose another")
     return resolved
+
+
+def _check_options(options: Sequence[str]) -> None:
+    """Refuse a bad --runs, --seed or --duration by its own name: the file is not to blame."""
+    given: dict[str, Any] = {}
+    for text in options:
+        _apply(given, text)
+    try:
+        SimulationSection.model_validate(given.get("simulation", {}))
+    except ValidationError as error:
+        raise ScenarioError(
+            "; ".join(f"--{mistake}" for mistake in explain(error, SimulationSection))
+        ) from None
 
 
 def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
