@@ -19,6 +19,7 @@ from estbench import streams
 from estbench.errors import ControllerError, DimensionError, EstimatorError, told
 from estbench.estimators.registry import load_module
 from estbench.manifold import Manifold
+from estbench.models import mjcf
 from estbench.models.layout import actuator_names
 from estbench.models.rows import Rows
 from estbench.naming import expand
@@ -128,6 +129,31 @@ def checked(controller: Controller, what: str, nu: int) -> Controller:
         return u
 
     return call
+
+
+def clamped(section: ControlSection, plant: Plant) -> list[str]:
+    """A notice of each actuator that is asked for a control beyond its ctrlrange."""
+    names, model = actuator_names(plant.model), plant.model
+    centre = plant.u0 if section.offset == "keyframe" else np.zeros(model.nu)
+    if section.kind == "constant" and section.value is not None:
+        least = most = expand(section.value, names, "control.value")
+    elif section.kind == "sine":
+        peak = np.abs(expand(section.amplitude, names, "control.amplitude"))
+        peak = peak * len(section.frequencies)
+        least, most = centre - peak, centre + peak
+    elif section.kind == "csv":
+        _, table = _read_csv(section.path, names)
+        least, most = table.min(axis=0), table.max(axis=0)
+    else:
+        return []
+    low, high = mjcf.control_limits(model)
+    slack = 1e-9 * (np.abs(least) + np.abs(most))  # 0.1 + 0.2 is no more than 0.3
+    beyond = np.where(most - slack > high, most, np.where(least + slack < low, least, np.nan))
+    return [
+        f"control goes to {beyond[i]:g} on {names[i]}, whose ctrlrange is [{low[i]:g}, "
+        f"{high[i]:g}]: it is clamped"
+        for i in np.flatnonzero(~np.isnan(beyond))
+    ]
 
 
 def linearize(plant: Plant) -> tuple[Array, Array]:

@@ -226,9 +226,11 @@ def build(scenario: Scenario) -> Setup:
         whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
     disturbance = resolution.disturbance(scenario.process_noise, truth, space, duration, notices)
     resolution.note_defaults(scenario, truth, notices)
+    plant = controllers.Plant(truth, space, x0, u0, section.frame_skip)
+    notices += controllers.clamped(scenario.control, plant)
     setup = Setup(
         scenario=scenario,
-        plant=controllers.Plant(truth, space, x0, u0, section.frame_skip),
+        plant=plant,
         filter_model=believed,
         filter_channels=resolution.believed_channels(believed, channels, belief, duration),
         channels=tuple(channels),

@@ -1,3 +1,4 @@
+import re
 from functools import cache
 
 import mujoco
@@ -23,6 +24,43 @@ def build(name, runs=range(3), steps=50, seed=0, **section):
 
 def states(name, runs=3):
     return np.broadcast_to(plant(name).x0, (runs, plant(name).x0.size))
+
+
+# Beyond the ctrlrange: ±20 N of the cart-pole's force, 0 to 6 N of the quadrotor's rotors
+
+
+@pytest.mark.parametrize(
+    ("name", "section", "said"),
+    [
+        ("cartpole", {"kind": "constant", "value": 20.0}, []),
+        ("cartpole", {"kind": "constant", "value": -50.0}, ["-50 on force, .* [-20, 20]: it is"]),
+        ("cartpole", {"kind": "sine", "amplitude": 10, "frequencies": [1, 2]}, []),
+        ("cartpole", {"kind": "sine", "amplitude": 11, "frequencies": [1, 2]}, ["22 on force"]),
+        ("cartpole", {"kind": "none"}, []),
+        (
+            "quadrotor",
+            {"kind": "constant", "value": [-1, 7, 6, 0]},
+            ["-1 on thrust1, .* [0, 6]", "7 on thrust2, .* [0, 6]"],
+        ),
+        ("quadrotor", {"kind": "sine", "amplitude": 2.4525}, []),
+        ("quadrotor", {"kind": "sine", "amplitude": {"thrust3": 3.0}}, ["-0.5475 on thrust3"]),
+        ("quadrotor", {"kind": "sine", "amplitude": 1, "offset": "zero"}, ["-1 on thrust."] * 4),
+    ],
+)
+def test_controls_that_will_be_clamped_are_noticed(name, section, said):
+    notices = controllers.clamped(ControlSection(**section), plant(name))
+    assert len(notices) == len(said)
+    for notice, pattern in zip(notices, said):
+        assert re.search(pattern.replace("[", r"\["), notice), notice
+
+
+def test_a_table_that_will_be_clamped_is_noticed_by_run(tmp_path):
+    (tmp_path / "u.csv").write_text("0,1\n1,-30\n")
+    changes = ["control.kind=csv", f"control.path={tmp_path / 'u.csv'}"]
+    made = setup.build(experiment.resolve("cartpole", overrides=changes))
+    assert (
+        "control goes to -30 on force, whose ctrlrange is [-20, 20]: it is clamped" in made.notices
+    )
 
 
 # The kinds
