@@ -5,7 +5,8 @@ import re
 import pytest
 
 import estbench
-from estbench.errors import EstbenchError, did_you_mean, told
+from estbench.errors import EstbenchError, ModelError, did_you_mean, told
+from estbench.models.calls import call
 
 MODULE = """
 import numpy as np
@@ -83,3 +84,13 @@ def test_an_error_without_a_users_line():
     )
     raised.value.__traceback__ = raised.tb.tb_next  # without this file
     assert told(raised.value) == f"TypeError: {raised.value}"
+
+
+def test_the_line_of_a_models_function():
+    def gain(t):
+        raise KeyError("gain")
+
+    with pytest.raises(
+        ModelError, match=r"^f raised KeyError: .* \(test_errors\.py:\d+, in gain\);"
+    ):
+        call("f", gain, 0.0)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import DimensionError, ModelError
+from estbench.errors import DimensionError, ModelError, told
 
 Array = NDArray[np.float64]
 Matrix = Array | Callable[..., Array]
@@ -24,9 +24,7 @@ def call(name: str, function: Callable[..., Any], *args: Any) -> Any:
     except Exception as error:
         shapes = " and ".join(str(a.shape) for a in args if isinstance(a, np.ndarray))
         given = f"{len(args)} arguments" + (f", arrays of shapes {shapes}" if shapes else "")
-        raise ModelError(
-            f"{name} raised {type(error).__name__}: {error}; it was called with {given}"
-        ) from error
+        raise ModelError(f"{name} raised {told(error)}; it was called with {given}") from error
 
 
 def numbers(what: str, given: Any, expected: str) -> Array:

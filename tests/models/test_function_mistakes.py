@@ -51,7 +51,7 @@ SHAPE = r"\(3, 5, 2\) for x of shape \(3, 5, 2\) = \(run, point, n\)"
         (lambda *_: "a", DimensionError, rf"str of <U1; .* shape {SHAPE}"),
         (lambda x, *_: x.astype("f4"), DimensionError, rf"ndarray of float32; .* shape {SHAPE}"),
         (lambda x, *_: x + 1j, DimensionError, rf"ndarray of complex128; .* shape {SHAPE}"),
-        (broken, ModelError, r"KeyError: 'mass'; it was called with \d arguments, arrays of shapes "
+        (broken, ModelError, r"KeyError: 'mass' .*; it .* arguments, arrays of shapes "
          r"\(3, 5, 2\) and \(3, 5, 0\)"),
         (lambda x: x, ModelError, "TypeError: .*takes 1 positional argument but . were given"),
     ],
