@@ -19,15 +19,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-def quiet() -> np.errstate:
-    """No warnings of numpy about numbers that are not finite."""
-    return np.errstate(invalid="ignore", over="ignore", divide="ignore")
-
-
 class FilterBank:
     """The beliefs of `rows` robots, and what became of them in the last step.
 
-    A row that breaks down is marked: call the methods where numpy warns of nothing (`quiet`).
+    A row that breaks down is marked: call the methods under `linalg.quiet`.
 
     Args:
         estimator: any object of the estimators' protocol.

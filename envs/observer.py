@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.envs.filter import FilterBank, quiet
+from estbench.envs.filter import FilterBank
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.readings import Readings
+from estbench.linalg import quiet
 
 Array = NDArray[np.float64]
 

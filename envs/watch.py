@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from estbench import random
 from estbench.envs.adopt import adopt, mujoco_parts
 from estbench.envs.errors import EnvError
-from estbench.envs.filter import FilterBank, quiet
+from estbench.envs.filter import FilterBank
 from estbench.envs.keys import Keys, Mask, purpose
 from estbench.envs.observer import Observer
 from estbench.envs.readings import Readings
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
+from estbench.linalg import quiet
 from estbench.models import layout, parameters
 from estbench.models.disturbance import Disturbance
 from estbench.models.mujoco import MujocoModel, SensorChannel

@@ -4,7 +4,6 @@ An estimator is driven the same way whether the truth was recorded beforehand (`
 stepped beside it because the controller sees the estimate (`Live`).
 """
 
-import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, cast
@@ -14,10 +13,11 @@ from numpy.typing import NDArray
 
 from estbench.controllers import Controller
 from estbench.errors import DimensionError
-from estbench.estimators.base import Estimator, Passage, Smoother
+from estbench.estimators.base import Estimator, Passage, Smoother, start
 from estbench.fusion import Delays, Fusion
 from estbench.inbox import Inbox
 from estbench.innovations import Innovations
+from estbench.linalg import quiet
 from estbench.manifold import Manifold
 from estbench.readings import Delivery
 from estbench.timing import Instant
@@ -121,8 +121,7 @@ def run_filter(
     """
     mean0, cov0 = prior
     began = time.thread_time()
-    random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
-    belief = estimator.init(mean0, cov0, **({"keys": keys} if random else {}))
+    belief = start(estimator, mean0, cov0, keys)
     recorder = Recorder(estimator, space, len(source.instants), len(mean0), keep_cov)
     innovations = Innovations(channels, len(source.instants), len(mean0), keep_innovations)
     past = None
@@ -131,7 +130,7 @@ def run_filter(
     inbox, delays = Inbox(channels), delays or Delays()
     fusion = Fusion(estimator, source.instants, inbox, delays, innovations, past)
     cpu_time = time.thread_time() - began
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+    with quiet():
         recorder.add(0, source.x0, belief)
         for k in range(len(source.instants)):
             if stop():

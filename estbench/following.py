@@ -1,12 +1,11 @@
 """An estimator through measurements that are given: no robot, no sensors, no event loop."""
 
-import inspect
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estbench.errors import DimensionError
-from estbench.estimators.base import Estimator, Measurement, Passage
+from estbench.estimators.base import Estimator, Measurement, Passage, start
+from estbench.linalg import quiet
 from estbench.models.base import Model
 
 Array = NDArray[np.float64]
@@ -56,10 +55,9 @@ def follow(
             f"times has shape {instants.shape}; expected {count + 1} rising numbers, one more than "
             "y has steps"
         )
-    random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
-    belief = estimator.init(mean, cov, **({"keys": keys} if random else {}))
+    belief = start(estimator, mean, cov, keys)
     passage = Passage([belief], list(controls), instants.tolist(), [[]])
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # failed runs are marked
+    with quiet():  # failed runs are marked
         for reading, held, t, end in zip(y, controls, passage.times, passage.times[1:]):
             belief = estimator.predict(belief, held, t, end - t)
             passage.measurements.append([])

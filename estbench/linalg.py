@@ -16,6 +16,11 @@ _HALF = np.array(0.5)
 """A Python number would be converted at every call, which is half of it for one small matrix."""
 
 
+def quiet() -> np.errstate:
+    """No warnings of numpy about numbers that are not finite: what fails is marked."""
+    return np.errstate(invalid="ignore", over="ignore", divide="ignore")
+
+
 @lru_cache(maxsize=64)
 def identity(n: int) -> Array:
     """I `(n, n)`, made once and read-only: `np.eye` costs a microsecond."""

@@ -1,5 +1,6 @@
 """Beliefs, the estimator protocol, and the measurement update that every Gaussian filter shares."""
 
+import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -158,6 +159,14 @@ def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
             f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n) "
             f"with nx = {nx} and n = {n}"
         )
+
+
+def start(
+    estimator: Estimator, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
+) -> Any:
+    """The belief at the start; an estimator that draws random numbers gets a key `(run,)` each."""
+    random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
+    return estimator.init(mean, cov, **({"keys": keys} if random else {}))
 
 
 class GaussianEstimator:
