@@ -17,8 +17,11 @@ import numpy as np
 
 from benchmarks import peers
 from benchmarks.envs import best
-from estbench import executors, experiment, scenario, setup
-from estbench.models.rows import engine
+from estbench.experiment import setup
+from estbench.montecarlo import executors
+from estbench.montecarlo import run as experiment
+from estbench.robots.batch import engine
+from estbench.scenario import load as scenario
 
 # 21 sensor values on Gymnasium's ant (n = 28): 8 encoders, pose, velocities of the torso.
 ANT = [

@@ -9,7 +9,7 @@ import time
 
 from estbench.analysis.calibration import calibrate, oscillator, sample, vehicle
 from estbench.analysis.tables import Table, percent, text
-from estbench.consistency import mean_interval
+from estbench.consistency.nees import mean_interval
 
 RUNS = (5, 10, 20, 50, 100, 200)
 MODELS = {

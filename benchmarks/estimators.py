@@ -7,10 +7,10 @@ Prints results/estimators.md. Each robot's table is what `estbench run ROBOT -e 
 import argparse
 import sys
 
-from estbench import experiment
 from estbench.estimators import registry
-from estbench.quantity import quantity
-from estbench.results import Results
+from estbench.montecarlo import run as experiment
+from estbench.montecarlo.results import Results
+from estbench.tables.quantity import quantity
 
 ROBOTS = ("pendulum", "cartpole")
 

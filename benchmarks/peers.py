@@ -16,8 +16,11 @@ from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, Unscen
 from mujoco.batch import Batch
 
 from benchmarks.floor import floor
-from estbench import executors, experiment, scenario, setup
-from estbench.models.rows import engine
+from estbench.experiment import setup
+from estbench.montecarlo import executors
+from estbench.montecarlo import run as experiment
+from estbench.robots.batch import engine
+from estbench.scenario import load as scenario
 
 TACHOS = [
     'channels.cart_tacho={noise=0.05, add={type="jointvel", object="cart"}}',

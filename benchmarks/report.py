@@ -17,7 +17,7 @@ import zarr
 
 import estbench
 from estbench.report.html import write_report
-from estbench.store import SCENARIO, STORE
+from estbench.store.zarr import SCENARIO, STORE
 
 RUNS, SECONDS = 2000, 2.0
 

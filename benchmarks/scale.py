@@ -18,7 +18,7 @@ from pathlib import Path
 
 CHILD = """
 import json, resource, sys, time
-from estbench import experiment
+from estbench.montecarlo import run as experiment
 arguments, out = json.loads(sys.argv[1]), sys.argv[2]
 experiment.run("pendulum", ["ekf"], runs=10, duration=0.1, workers=1)  # what is paid once
 wall, cpu = time.perf_counter(), time.process_time()

@@ -17,11 +17,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estbench import experiment, setup
 from estbench.estimators.ekf import EKF
-from estbench.filtering import Recorded, run_filter
-from estbench.models.rows import engine
-from estbench.truth import simulate
+from estbench.experiment import setup
+from estbench.inference.event_loop import Recorded, run_filter
+from estbench.montecarlo import run as experiment
+from estbench.robots.batch import engine
+from estbench.simulation.truth import simulate
 
 EVERYTHING = (
     "bias=0.01", "bias_walk=0.001", "drift=0.01", "scale_factor=0.001", "quantization=0.001",

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from estbench.envs.errors import EnvError
 from estbench.envs.features import LIMIT
-from estbench.models.layout import actuator_names
-
-Array = NDArray[np.float64]
+from estbench.robots.layout import actuator_names
+from estbench.shapes import Array
 
 
 class Actions:

@@ -10,15 +10,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from estbench import sensors as channels_of
 from estbench.envs import sensors as kits
 from estbench.envs.errors import EnvError
 from estbench.errors import ScenarioError
-from estbench.models import added_sensors, mjcf
-from estbench.models.layout import object_name
-from estbench.models.parameters import SETTINGS
-from estbench.models.rows import engine
-from estbench.sensors import Channel
+from estbench.robots import added_sensors, mjcf
+from estbench.robots.batch import engine
+from estbench.robots.layout import object_name
+from estbench.robots.parameters import SETTINGS
+from estbench.sensors import channel as channels_of
+from estbench.sensors.channel import Channel
 
 # MuJoCo attaches these to a site only.
 _AT_SITES = (

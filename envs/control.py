@@ -12,19 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import controllers, experiment
-from estbench.consistency import Interval, mean_interval
-from estbench.controllers import Controller
+from estbench.consistency.nees import Interval, mean_interval
 from estbench.envs.errors import EnvError
 from estbench.envs.keys import RowKeys
 from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean
-from estbench.executors import cpu_count
-from estbench.models.rows import engine
-from estbench.scenario import Chosen
-from estbench.sections import Scenario
+from estbench.montecarlo import run as experiment
+from estbench.montecarlo.executors import cpu_count
+from estbench.robots.batch import engine
+from estbench.scenario.load import Chosen
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
+from estbench.simulation import controllers
+from estbench.simulation.controllers import Controller
 
-Array = NDArray[np.float64]
 TRUTH, RAW = "truth", "raw"
 
 

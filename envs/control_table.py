@@ -3,9 +3,9 @@
 from rich.console import Group
 from rich.text import Text
 
-from estbench.columns import Column, Columns
 from estbench.envs.control import RAW, TRUTH, Comparison
-from estbench.quantity import quantity
+from estbench.tables.columns import Column, Columns
+from estbench.tables.quantity import quantity
 
 
 def render(comparison: Comparison) -> Group:

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.envs.keys import Keys, Mask, RowNoise
-from estbench.sensors import Channel
-
-Array = NDArray[np.float64]
+from estbench.sensors.channel import Channel
+from estbench.shapes import Array
 
 
 @dataclass(eq=False)

@@ -5,13 +5,12 @@ from typing import Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from estbench.envs.errors import EnvError
 from estbench.envs.observer import Observer
 from estbench.errors import did_you_mean
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 Observe = Literal["state", "belief", "covariance", "raw", "truth"]
 LIMIT = 1e10
 """MuJoCo's mjMAXVAL: a state beyond it is an error, so nothing observed is outside ± this."""

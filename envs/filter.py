@@ -10,13 +10,11 @@ from scipy.linalg.lapack import dposv
 
 from estbench.envs.merge import select
 from estbench.envs.replay import Measurement, Memory
-from estbench.errors import EstbenchError, EstimatorError, told
-from estbench.estimators.base import Estimator, Innovation
-from estbench.linalg import quadratic_form, surely_finite
-from estbench.manifold import Manifold
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from estbench.errors import EstbenchError, EstimatorError, user_error_location
+from estbench.estimators.protocol import Estimator, Innovation
+from estbench.shapes import Array, Mask
+from estbench.spaces.linalg import quadratic_form, surely_finite
+from estbench.spaces.manifold import Manifold
 
 
 class FilterBank:
@@ -187,7 +185,9 @@ class FilterBank:
         except EstbenchError:
             raise
         except Exception as error:  # a user's estimator may raise anything
-            raise EstimatorError(f"{self._label}.{verb} raised {told(error)}") from error
+            raise EstimatorError(
+                f"{self._label}.{verb} raised {user_error_location(error)}"
+            ) from error
 
 
 def _without_nan(values: Array, instead: float = 0.0) -> Array:

@@ -5,16 +5,15 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from estbench import imperfections, random
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
 from estbench.envs.merge import select
-from estbench.manifold import Manifold
-from estbench.sensors import Channel
-
-Array = NDArray[np.float64]
+from estbench.randomness import counter as random
+from estbench.sensors import imperfections
+from estbench.sensors.channel import Channel
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
 
 
 class Source(Protocol):
@@ -77,7 +76,7 @@ class White:
 
 
 class Flawed:
-    """One channel with imperfections or a schedule of its noise; see `estbench.imperfections`.
+    """One channel with imperfections or a schedule of its noise; see `sensors.imperfections`.
 
     Args:
         channel: the sensor.

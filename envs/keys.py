@@ -9,13 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
 
-from estbench import random
-
-Array = NDArray[np.float64]
-Keys = NDArray[np.uint64]
-Mask = NDArray[np.bool_]
+from estbench.randomness import counter as random
+from estbench.shapes import Array, Keys, Mask
 
 
 def purpose(word: str) -> int:

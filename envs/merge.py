@@ -5,11 +5,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
-
-Mask = NDArray[np.bool_]
+from estbench.shapes import Mask
 
 
 def select(mask: Mask, new: Any, old: Any, what: str = "belief") -> Any:

@@ -15,9 +15,9 @@ from estbench.envs.keys import draw_key
 from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
-from estbench.sections import Scenario
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 ONE = np.ones(1, bool)
 
 

@@ -4,14 +4,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.envs.filter import FilterBank
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.readings import Readings
-from estbench.linalg import quiet
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
+from estbench.spaces.linalg import quiet
 
 
 class Observer:

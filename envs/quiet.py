@@ -3,11 +3,11 @@
 import weakref
 from typing import Any
 
-from estbench.models.rows import engine
+from estbench.robots.batch import engine
 
 
 def hold(owner: Any) -> weakref.finalize:
-    """Keep `estbench.models.rows.engine` entered until the result is called or the owner is gone.
+    """Keep `estbench.robots.batch.engine` entered until the result is called or the owner is gone.
 
     It takes out a profiling callback that costs a small model a third of every step, and keeps
     MuJoCo from writing a log line for every trial point of a filter that blows up. Warnings are

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Innovation
-from estbench.models.base import Channels
-from estbench.models.mujoco import MujocoModel
+from estbench.estimators.protocol import Innovation
+from estbench.models.protocol import Channels
+from estbench.robots.model import MujocoModel
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 ACCELERATION = int(mujoco.mjtStage.mjSTAGE_ACC)
 
 

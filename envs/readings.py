@@ -13,12 +13,11 @@ from estbench.envs.errors import EnvError
 from estbench.envs.flaws import Flawed, Source, White
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.replay import Measurement
-from estbench.models import layout
-from estbench.models.reading import Plan
-from estbench.models.rows import Rows
-from estbench.sensors import Channel
-
-Array = NDArray[np.float64]
+from estbench.robots import layout
+from estbench.robots.batch import Rows
+from estbench.robots.measurement import Plan
+from estbench.sensors.channel import Channel
+from estbench.shapes import Array
 
 
 @dataclass(frozen=True, eq=False)

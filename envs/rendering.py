@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.report import render, scene, window
+from estbench.report.rendering import render, scene, window
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 Belief = tuple[Array, Array]
 
 

@@ -10,13 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.envs.merge import select
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from estbench.shapes import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)

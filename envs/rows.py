@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from estbench.envs.errors import EnvError
 from estbench.envs.keys import Mask
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 MODES = tuple(mode.value for mode in AutoresetMode) + tuple(AutoresetMode)
 
 

@@ -16,13 +16,12 @@ import estbench.envs  # noqa: F401  (registers the environments)
 from estbench.envs.errors import EnvError
 from estbench.envs.vector import ScenarioVectorEnv
 from estbench.errors import MissingExtraError
+from estbench.shapes import Array
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
     raise MissingExtraError("stable-baselines3", "sb3") from None
-
-Array = NDArray[np.float64]
 
 
 class BatchVecEnv(VecEnv):

@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.models.layout import BALL, FREE, object_name
-from estbench.sections import ChannelSection
-from estbench.sensors import Channel
+from estbench.robots.layout import BALL, FREE, object_name
+from estbench.scenario.schema import ChannelSection
+from estbench.sensors.channel import Channel
 
 Table = dict[str, dict[str, Any]]
 """Channel -> settings of `[channels.NAME]`; `type` and `object` may stand beside `noise`."""

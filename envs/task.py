@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.controllers import Plant
 from estbench.errors import CovarianceError
-from estbench.models import mjcf
-from estbench.models.layout import actuator_names
-from estbench.naming import expand
-from estbench.sections import Scenario
-
-Array = NDArray[np.float64]
+from estbench.robots import mjcf
+from estbench.robots.layout import actuator_names
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
+from estbench.simulation.controllers import Plant
+from estbench.spaces.patterns import expand
 
 
 @dataclass(frozen=True, eq=False)

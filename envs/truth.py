@@ -1,15 +1,13 @@
 """The true robots of the native environments: many at once, each of which may start anew."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench import random
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
-from estbench.models import parameters
-from estbench.models.rows import Rows
-from estbench.setup import Setup
-
-Array = NDArray[np.float64]
+from estbench.experiment.setup import Setup
+from estbench.randomness import counter as random
+from estbench.robots import parameters
+from estbench.robots.batch import Rows
+from estbench.shapes import Array
 
 
 class TruthRows:

@@ -7,12 +7,11 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from estbench.envs.errors import EnvError
-from estbench.models import layout
+from estbench.robots import layout
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 _OWN = ("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec")
 
 

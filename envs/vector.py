@@ -18,10 +18,9 @@ from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.world import World, prepare
-from estbench.executors import cpu_count
-from estbench.sections import Scenario
-
-Array = NDArray[np.float64]
+from estbench.montecarlo.executors import cpu_count
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
 
 
 class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):

@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 
 from estbench.envs.actions import check
 from estbench.envs.errors import EnvError
@@ -20,8 +19,8 @@ from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.truth_info import KEYS
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 States = tuple[Array, Array, Array]
 _log = logging.getLogger("estbench")
 

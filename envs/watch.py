@@ -5,9 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench import random
 from estbench.envs.adopt import adopt, mujoco_parts
 from estbench.envs.errors import EnvError
 from estbench.envs.filter import FilterBank
@@ -16,13 +14,13 @@ from estbench.envs.observer import Observer
 from estbench.envs.readings import Readings
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
-from estbench.linalg import quiet
-from estbench.models import layout, parameters
-from estbench.models.disturbance import Disturbance
-from estbench.models.mujoco import MujocoModel, SensorChannel
-from estbench.naming import expand
-
-Array = NDArray[np.float64]
+from estbench.randomness import counter as random
+from estbench.robots import layout, parameters
+from estbench.robots.disturbance import Disturbance
+from estbench.robots.model import MujocoModel, SensorChannel
+from estbench.shapes import Array
+from estbench.spaces.linalg import quiet
+from estbench.spaces.patterns import expand
 
 
 class Watch:

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import experiment, setup
-from estbench import scenario as scenarios
 from estbench.envs.errors import EnvError
 from estbench.envs.filter import FilterBank
 from estbench.envs.keys import Keys, Mask
@@ -18,9 +16,12 @@ from estbench.envs.readings import Readings
 from estbench.envs.task import Task
 from estbench.envs.truth import TruthRows
 from estbench.estimators import registry
-from estbench.models import mjcf
+from estbench.experiment import setup
+from estbench.montecarlo import run as experiment
+from estbench.robots import mjcf
+from estbench.scenario import load as scenarios
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 Estimator = str | Mapping[str, Any] | None
 """A scenario's label, a name, `package.module:Name`, a table of settings with `type`, or none."""
 

@@ -8,7 +8,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from numpy.typing import NDArray
 
 from estbench.envs.actions import check
 from estbench.envs.errors import EnvError
@@ -18,8 +17,8 @@ from estbench.envs.native import first
 from estbench.envs.quiet import hold
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 ONE = np.ones(1, bool)
 _log = logging.getLogger("estbench")
 

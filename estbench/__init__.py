@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from estbench.errors import EstbenchError
-    from estbench.experiment import run
-    from estbench.results import Results
-    from estbench.scenario import load
-    from estbench.store import open_results
+    from estbench.montecarlo.results import Results
+    from estbench.montecarlo.run import run
+    from estbench.scenario.load import load
+    from estbench.store.zarr import open_results
 
 __all__ = ["EstbenchError", "Results", "load", "open_results", "run"]
 __version__ = "0.1.0"
 
 _HOME = {
     "EstbenchError": "errors",
-    "Results": "results",
-    "load": "scenario",
-    "open_results": "store",
-    "run": "experiment",
+    "Results": "montecarlo.results",
+    "load": "scenario.load",
+    "open_results": "store.zarr",
+    "run": "montecarlo.run",
 }
 
 

@@ -1,6 +1,6 @@
 """`python -m estbench` is the command line."""
 
-from estbench.cli import main
+from estbench.commands.cli import main
 
 if __name__ == "__main__":
     main()

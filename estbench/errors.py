@@ -77,7 +77,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f" (known: {', '.join(known)})" if known else ""
 
 
-def told(error: BaseException) -> str:
+def user_error_location(error: BaseException) -> str:
     """What a user's code raised, and where: `KeyError: 'gain' (mine.py:12, in update)`.
 
     The place is the innermost line of the user's files: those of the folder of the first file that

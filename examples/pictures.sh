@@ -33,7 +33,9 @@ PICTURE
 # Those of docs/sensors.md.
 estbench sensors quadrotor_delayed --out docs/images/sensors.png
 python - <<'END'
-from estbench import allan, experiment, setup
+from estbench.sensors import allan
+from estbench.montecarlo import run as experiment
+from estbench.experiment import setup
 
 overrides = ["channels.gyro.noise_density=0.002", "channels.gyro.bias_instability=0.002"]
 prepared = setup.build(experiment.resolve("cartpole_imu", overrides=overrides))

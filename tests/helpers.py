@@ -7,16 +7,16 @@ import mujoco
 import numpy as np
 
 from estbench.estimators import registry
-from estbench.models import mjcf
+from estbench.experiment.setup import Setup
 from estbench.models.differences import Differences
-from estbench.models.disturbance import Disturbance
 from estbench.models.function import FunctionModel
-from estbench.models.layout import sensor_name, sensor_space, state_space
 from estbench.models.linear import LinearModel
-from estbench.models.mujoco import MujocoModel, SensorChannel
-from estbench.models.rows import engine
-from estbench.setup import Setup
-from estbench.truth import Trajectory, simulate
+from estbench.robots import mjcf
+from estbench.robots.batch import engine
+from estbench.robots.disturbance import Disturbance
+from estbench.robots.layout import sensor_name, sensor_space, state_space
+from estbench.robots.model import MujocoModel, SensorChannel
+from estbench.simulation.truth import Trajectory, simulate
 
 SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
 CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel

@@ -3,7 +3,7 @@
 import xarray as xr
 
 import estbench
-from estbench import experiment
+from estbench.montecarlo import run as experiment
 
 ARGUMENTS = {"estimators": ["ekf"], "runs": 40, "duration": 0.3, "batch_size": 5}
 

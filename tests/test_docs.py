@@ -18,9 +18,10 @@ from pathlib import Path
 import pytest
 
 import estbench
-from estbench import cli, experiment
+from estbench.commands import cli
 from estbench.errors import MissingExtraError
-from estbench.sections import Scenario
+from estbench.montecarlo import run as experiment
+from estbench.scenario.schema import Scenario
 
 ROOT = Path(__file__).parents[1]
 PAGES = [p for p in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if p.is_file()]

@@ -5,7 +5,7 @@ import re
 import pytest
 
 import estbench
-from estbench.errors import EstbenchError, ModelError, did_you_mean, told
+from estbench.errors import EstbenchError, ModelError, did_you_mean, user_error_location
 from estbench.models.calls import call
 
 MODULE = """
@@ -76,14 +76,15 @@ def test_the_line_of_the_users_file_is_named(estimators, overrides, message, tmp
 
 
 def test_an_error_without_a_users_line():
-    assert told(KeyError("gain")) == "KeyError: 'gain'"
+    assert user_error_location(KeyError("gain")) == "KeyError: 'gain'"
     with pytest.raises(TypeError) as raised:
         did_you_mean(None, ["a"])  # pyright: ignore[reportArgumentType]
     assert re.fullmatch(
-        r"TypeError: .* \(test_errors\.py:\d+, in test_an_error.*\)", told(raised.value)
+        r"TypeError: .* \(test_errors\.py:\d+, in test_an_error.*\)",
+        user_error_location(raised.value),
     )
     raised.value.__traceback__ = raised.tb.tb_next  # without this file
-    assert told(raised.value) == f"TypeError: {raised.value}"
+    assert user_error_location(raised.value) == f"TypeError: {raised.value}"
 
 
 def test_the_line_of_a_models_function():

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estbench import cli, experiment
+from estbench.commands import cli
+from estbench.montecarlo import run as experiment
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

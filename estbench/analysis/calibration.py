@@ -9,17 +9,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from estbench.analysis.intervals import wilson
-from estbench.consistency import Interval, Verdict, judge, positive_mean_interval
-from estbench.estimators.base import Estimator
+from estbench.consistency.intervals import wilson
+from estbench.consistency.nees import Interval, Verdict, judge, positive_mean_interval
 from estbench.estimators.kf import KF
-from estbench.linalg import psd_factor, quadratic_form
+from estbench.estimators.protocol import Estimator
 from estbench.models.linear import LinearModel
+from estbench.shapes import Array
+from estbench.spaces.linalg import psd_factor, quadratic_form
 
-Array = NDArray[np.float64]
 ROWS = 20_000
 """Runs simulated at once."""
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
 from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load_all
-from estbench.consistency import Interval, mean_interval
+from estbench.consistency.nees import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
-from estbench.sections import Scenario
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 OWN = {"name", "description", "estimators", "filter", "consistency", "task"}
 """Parts of a scenario that change neither the truth nor what is measured of it."""
 

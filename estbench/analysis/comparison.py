@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency import Interval, mean_interval
-
-Array = NDArray[np.float64]
+from estbench.consistency.nees import Interval, mean_interval
+from estbench.shapes import Array
 
 ROUNDING = 1e-9
 """Differences below this part of the values are of rounding, and count as none."""

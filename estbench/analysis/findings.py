@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench.analysis import coverage, credibility, intervals, whiteness
 from estbench.analysis.load import Stored
-from estbench.consistency import Interval, positive_mean_interval
-from estbench.records import Record
-from estbench.statistics import Summary
-
-Array = NDArray[np.float64]
+from estbench.consistency import coverage, credibility, intervals, whiteness
+from estbench.consistency.nees import Interval, positive_mean_interval
+from estbench.consistency.records import Record
+from estbench.consistency.summary import Summary
+from estbench.shapes import Array
 
 TRIM = 0.1
 """Share left out at each end of a trimmed mean."""

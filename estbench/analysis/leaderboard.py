@@ -10,18 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from estbench import experiment, setup
 from estbench.analysis import tables
 from estbench.analysis.comparison import Rank, compare, score
 from estbench.analysis.findings import Accuracy, accuracies
 from estbench.analysis.shown import few_runs
 from estbench.analysis.tables import Table, bounds, number, percent
+from estbench.consistency.summary import Summary
 from estbench.errors import AnalysisError, DimensionError, EstimatorError, StoreError
-from estbench.quantity import quantity
-from estbench.results import Results
-from estbench.scenario import bundled
-from estbench.statistics import Summary
-from estbench.template import provenance
+from estbench.experiment import setup
+from estbench.montecarlo import run as experiment
+from estbench.montecarlo.results import Results
+from estbench.scenario.load import bundled
+from estbench.store.template import provenance
+from estbench.tables.quantity import quantity
 
 RUNS = 60
 """By default: all of it takes minutes on two cores, and NEES/n is known to a few percent."""

@@ -10,14 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from estbench import scenario as scenarios
+from estbench.consistency.records import SUMMARY, Record
+from estbench.consistency.summary import Summary, summarize
 from estbench.errors import StoreError
-from estbench.records import SUMMARY, Record
-from estbench.sections import Scenario
-from estbench.statistics import Summary, summarize
-from estbench.store import COSTS, SCENARIO, STORE, open_results
-
-Array = NDArray[np.float64]
+from estbench.scenario import load as scenarios
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
+from estbench.store.zarr import COSTS, SCENARIO, STORE, open_results
 
 REQUIRED = {"anees", "anis", "mse", "variance", "fault", "fault_step", "diverged"}
 """Arrays without which there is nothing to say."""

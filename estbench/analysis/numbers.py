@@ -10,9 +10,9 @@ import numpy as np
 
 from estbench.analysis.compare import Comparison, Contest
 from estbench.analysis.comparison import Paired
-from estbench.analysis.coverage import SIGMAS
 from estbench.analysis.findings import Findings
-from estbench.consistency import Interval
+from estbench.consistency.coverage import SIGMAS
+from estbench.consistency.nees import Interval
 
 
 def to_dict(comparison: Comparison) -> dict[str, Any]:

@@ -4,17 +4,11 @@ import numpy as np
 
 from estbench.analysis.compare import Comparison, Contest
 from estbench.analysis.comparison import fewest_runs
-from estbench.analysis.coverage import EXPECTED, SIGMAS
 from estbench.analysis.findings import TRIM
-from estbench.analysis.tables import (
-    Table,
-    bounds,
-    number,
-    percent,
-    probability,
-)
-from estbench.consistency import Interval
-from estbench.quantity import quantity
+from estbench.analysis.tables import Table, bounds, number, percent, probability
+from estbench.consistency.coverage import EXPECTED, SIGMAS
+from estbench.consistency.nees import Interval
+from estbench.tables.quantity import quantity
 
 
 def build(comparison: Comparison) -> list[Table]:

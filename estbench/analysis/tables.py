@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from rich.console import Console
 
-from estbench.columns import Column, Columns
-from estbench.consistency import Interval
+from estbench.consistency.nees import Interval
+from estbench.tables.columns import Column, Columns
 
 
 @dataclass(frozen=True)

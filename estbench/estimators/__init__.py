@@ -1,1 +1,1 @@
-"""Estimators, one algorithm a file, behind the protocol of `estbench.estimators.base`."""
+"""Estimators, one algorithm a file, behind the protocol of `estbench.estimators.protocol`."""

@@ -8,15 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Gaussian, Innovation, correct, marked
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import linear_update
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, pad_absent, solve_lower, symmetrize
-from estbench.models.base import Channels
-from estbench.naming import expand
+from estbench.estimators.update import correct, mark_failed
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, symmetrize
+from estbench.spaces.patterns import expand
 
-Array = NDArray[np.float64]
 PerName = float | Sequence[float] | dict[str, float]
 
 
@@ -112,7 +114,7 @@ class AdaptiveEKF(EKF):
         cov = cov * (self._upsilon[:, None] * self._upsilon)
         elapsed = prior.elapsed + dt
         prior = replace(prior, mean=mean, cov=cov, density=density, elapsed=elapsed)
-        return cast(AdaptiveBelief, marked(prior))
+        return cast(AdaptiveBelief, mark_failed(prior))
 
     def update(
         self,

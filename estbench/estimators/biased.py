@@ -5,18 +5,17 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators import registry
-from estbench.estimators.base import Estimator
 from estbench.estimators.over import OverFilter
+from estbench.estimators.protocol import Estimator
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.settings import names, table
 from estbench.models.augmented import Augmented
-from estbench.models.base import Model
+from estbench.models.protocol import Model
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 PerName = float | Sequence[float] | dict[str, float]
 
 

@@ -4,17 +4,17 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import RK45
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Gaussian, marked
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import symmetrize
+from estbench.estimators.update import mark_failed
 from estbench.models.continuous import ContinuousModel, integrate_moments, moment_rates
+from estbench.shapes import Array
+from estbench.spaces.linalg import symmetrize
 
-Array = NDArray[np.float64]
 MOST_STEPS = 1000
 SHORTEST_STEP = 1e-6
 """Bounds on `rk45` in one prediction, the second as a part of dt; beyond them a run has failed."""
@@ -66,7 +66,7 @@ class ContinuousDiscreteEKF(EKF):
         else:
             mean, Phi, Q = self._adaptive(belief.mean, u, t, dt)
         cov = symmetrize(Phi @ belief.cov @ Phi.mT + Q)
-        return marked(replace(belief, mean=mean, cov=cov))
+        return mark_failed(replace(belief, mean=mean, cov=cov))
 
     def _adaptive(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array, Array]:
         """As `integrate_moments`, by scipy's RK45; NaN for the runs that it cannot integrate.

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError, did_you_mean
-from estbench.estimators.base import Gaussian, Innovation
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import linear_update
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import names, one_of
-from estbench.models.base import Channels
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 Form = Literal["decorrelated", "multiplicative", "additive", "standard"]
 FORMS: tuple[Form, ...] = ("decorrelated", "multiplicative", "additive", "standard")
 

@@ -5,18 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import (
-    Gaussian,
-    GaussianEstimator,
-    Innovation,
-    marked,
-)
+from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.linear import FORMS, Form, linear_update
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import one_of
-from estbench.linalg import symmetrize
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import mark_failed
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import symmetrize
 
 
 @dataclass(frozen=True)
@@ -43,7 +39,7 @@ class EKF(GaussianEstimator):
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + Q)
-        return marked(replace(belief, mean=mean, cov=cov))
+        return mark_failed(replace(belief, mean=mean, cov=cov))
 
     def update(
         self,

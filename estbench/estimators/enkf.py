@@ -6,15 +6,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import random
 from estbench.errors import DimensionError
-from estbench.estimators.base import Correction, Fault, Innovation, check_prior, correct
+from estbench.estimators.beliefs import Fault, check_prior
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, pad_absent, solve_lower_transposed, symmetrize
-from estbench.manifold import Manifold
-from estbench.models.base import Channels, Model
+from estbench.estimators.update import Correction, correct
+from estbench.models.protocol import Channels, Model
+from estbench.randomness import counter as random
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, pad_absent, solve_lower_transposed, symmetrize
+from estbench.spaces.manifold import Manifold
 
-Array = NDArray[np.float64]
 INITIAL, PROCESS, MEASUREMENT = range(3)
 """What a random number is for."""
 

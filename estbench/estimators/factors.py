@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Fault, Gaussian, Innovation, check_prior, marked
-from estbench.linalg import cholesky, pad_absent, solve_lower
-from estbench.manifold import Manifold
-
-Array = NDArray[np.float64]
+from estbench.estimators.beliefs import Fault, Gaussian, check_prior
+from estbench.estimators.protocol import Innovation
+from estbench.estimators.update import mark_failed
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, pad_absent, solve_lower
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ def factor_belief(
     mean: Array, factor: Array, fault: NDArray[np.uint8], new: NDArray[np.uint8] | None = None
 ) -> FactorBelief:
     """A belief with every run that is not finite, or has a `new` fault, set to NaN and marked."""
-    checked = marked(Gaussian(mean, factor, fault), new)
+    checked = mark_failed(Gaussian(mean, factor, fault), new)
     return FactorBelief(checked.mean, checked.cov, checked.fault)
 
 

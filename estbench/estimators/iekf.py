@@ -5,14 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Gaussian, Innovation, correct, settle
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import posterior_cov
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, whole
-from estbench.linalg import symmetrize
-from estbench.models.base import Channels
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import apply_correction, correct
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+from estbench.spaces.linalg import symmetrize
 
 
 @dataclass(frozen=True)
@@ -78,4 +79,4 @@ class IEKF(EKF):
             if not active.any():
                 break
         assert innovation is not None
-        return settle(space, belief, delta, symmetrize(cov), fault), innovation
+        return apply_correction(space, belief, delta, symmetrize(cov), fault), innovation

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.base import Estimator, Fault, Innovation
+from estbench.estimators.beliefs import Fault
+from estbench.estimators.protocol import Estimator, Innovation
 from estbench.estimators.settings import in_range, table
-from estbench.linalg import cholesky, solve_lower, symmetrize
-from estbench.manifold import Manifold
-from estbench.models.base import Channels, Model
+from estbench.models.protocol import Channels, Model
 from estbench.models.scaled import ScaledNoise
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, solve_lower, symmetrize
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)

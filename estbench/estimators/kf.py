@@ -8,18 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import (
-    Gaussian,
-    GaussianEstimator,
-    Innovation,
-    marked,
-)
+from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.linear import linear_update
-from estbench.linalg import symmetrize
-from estbench.manifold import Manifold
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.estimators.protocol import Innovation
+from estbench.estimators.update import mark_failed
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import symmetrize
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +79,7 @@ class KF(GaussianEstimator):
         )
         Q = model.process_noise(point, u, t, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + Q)
-        return cast(FixedBelief, marked(replace(belief, mean=mean, cov=cov)))
+        return cast(FixedBelief, mark_failed(replace(belief, mean=mean, cov=cov)))
 
     def update(
         self,

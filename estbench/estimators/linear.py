@@ -5,11 +5,13 @@ from typing import Literal, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Correction, Gaussian, Innovation, correct, settle
-from estbench.linalg import identity, pad_absent, symmetrize
-from estbench.manifold import Manifold
+from estbench.estimators.beliefs import Gaussian
+from estbench.estimators.protocol import Innovation
+from estbench.estimators.update import Correction, apply_correction, correct
+from estbench.shapes import Array
+from estbench.spaces.linalg import identity, pad_absent, symmetrize
+from estbench.spaces.manifold import Manifold
 
-Array = NDArray[np.float64]
 Belief = TypeVar("Belief", bound=Gaussian)
 Form = Literal["joseph", "simplified", "symmetric"]
 FORMS = ("joseph", "simplified", "symmetric")
@@ -38,7 +40,7 @@ def linear_update(
     PHt = belief.cov @ H.mT
     c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
     cov = symmetrize(posterior_cov(form, belief.cov, c, H, R))
-    return cast(Belief, settle(space, belief, c.delta, cov, c.fault)), c.innovation
+    return cast(Belief, apply_correction(space, belief, c.delta, cov, c.fault)), c.innovation
 
 
 def posterior_cov(form: Form, P: Array, c: Correction, H: Array, R: Array) -> Array:

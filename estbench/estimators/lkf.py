@@ -6,14 +6,15 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Gaussian, GaussianEstimator, Innovation, marked
+from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.kf import tangent_map
 from estbench.estimators.linear import linear_update
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range
-from estbench.linalg import quadratic_form, symmetrize
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import mark_failed
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import quadratic_form, symmetrize
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,9 @@ class LKF(GaussianEstimator):
         mean, F = tangent_map(model.space, model.space, belief.mean, belief.nominal, nominal, slope)
         Q = model.process_noise(belief.nominal, u, t, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + Q)
-        return cast(NominalBelief, marked(replace(belief, mean=mean, cov=cov, nominal=nominal)))
+        return cast(
+            NominalBelief, mark_failed(replace(belief, mean=mean, cov=cov, nominal=nominal))
+        )
 
     def update(
         self,

@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Estimator, Innovation
-from estbench.models.base import Channels
-
-Array = NDArray[np.float64]
+from estbench.estimators.protocol import Estimator, Innovation
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
 
 
 class OverFilter:

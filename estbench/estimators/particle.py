@@ -5,15 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench import random
-from estbench.estimators.base import Fault, Innovation, correct
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.enkf import Ensemble, diffuse, draw
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, whole
-from estbench.linalg import cholesky, pad_absent, solve_lower, symmetrize
-from estbench.manifold import Manifold
-from estbench.models.base import Channels, Model
+from estbench.estimators.update import correct
+from estbench.models.protocol import Channels, Model
+from estbench.randomness import counter as random
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, symmetrize
+from estbench.spaces.manifold import Manifold
 
-Array = NDArray[np.float64]
 RESAMPLING, KERNEL = 3, 4
 """Further purposes of random numbers."""
 

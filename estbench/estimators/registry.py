@@ -1,16 +1,15 @@
 """Estimators by name: the built-in ones, those of installed packages, and `package.module:Name`."""
 
-import importlib
 import inspect
 import sys
 from collections.abc import Mapping
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any
 
-from estbench.errors import EstbenchError, EstimatorError, did_you_mean, told
-from estbench.estimators.base import Estimator
-from estbench.models.base import Model
+from estbench.errors import EstbenchError, EstimatorError, did_you_mean, user_error_location
+from estbench.estimators.protocol import Estimator
+from estbench.models.protocol import Model
+from estbench.plugins import load_module
 
 _BUILTIN = {
     "kf": "kf:KF",
@@ -94,24 +93,6 @@ def name_of(estimator: str | type) -> str:
     return f"{module}:{name}"
 
 
-def load_module(module: str, what: str) -> Any:
-    """Import a user's module, looking in the current folder too.
-
-    Raises:
-        EstimatorError: it cannot be imported.
-    """
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    if module.endswith(".py") and Path(module).is_file():
-        name = ".".join(Path(module).with_suffix("").parts)
-        raise EstimatorError(f"{what}: '{module}' is a file; name its module, '{name}'")
-    try:
-        return importlib.import_module(module)
-    except Exception as error:  # a user's module may raise anything
-        raise EstimatorError(f"{what}: cannot import '{module}': {told(error)}") from None
-
-
 def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
     """Build the estimator `settings['type']` (default: the label) on a model.
 
@@ -138,4 +119,6 @@ def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
     except EstbenchError:
         raise
     except Exception as error:
-        raise EstimatorError(f"{label}: {name}(model, {arguments}) raised {told(error)}") from None
+        raise EstimatorError(
+            f"{label}: {name}(model, {arguments}) raised {user_error_location(error)}"
+        ) from None

@@ -7,14 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from estbench.estimators.base import Gaussian, Innovation, correct, marked
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import linear_update, without_absent
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
-from estbench.linalg import cholesky, solve_lower, symmetrize
-from estbench.models.base import Channels
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import correct, mark_failed
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, solve_lower, symmetrize
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class RobustEKF(EKF):
         PHt = belief.cov @ H.mT
         spread = symmetrize(H @ PHt)
         first = correct(residual, spread + R, PHt, mask)
-        raw, belief = first.innovation, marked(belief, first.fault)
+        raw, belief = first.innovation, mark_failed(belief, first.fault)
         if self.method.startswith("gate"):
             mask = self._passed(raw) if mask is None else mask & self._passed(raw)
         else:

@@ -6,15 +6,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Gaussian, Innovation, correct, settle
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import joseph
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import names, one_of
-from estbench.linalg import symmetrize
-from estbench.models.base import Channels
-from estbench.naming import expand
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import apply_correction, correct
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+from estbench.spaces.linalg import symmetrize
+from estbench.spaces.patterns import expand
 
 
 @dataclass(frozen=True)
@@ -68,4 +69,6 @@ class SchmidtEKF(EKF):
         K = c.gain * self._estimated[:, None]
         cov = joseph(belief.cov, K, H, R)
         delta = c.delta * self._estimated
-        return settle(self.model.space, belief, delta, symmetrize(cov), c.fault), c.innovation
+        return apply_correction(
+            self.model.space, belief, delta, symmetrize(cov), c.fault
+        ), c.innovation

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench.manifold import Manifold
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Fault, Innovation
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
     FactorBelief,
     FactorEstimator,
@@ -17,9 +17,9 @@ from estbench.estimators.factors import (
     psd_root,
     triangular,
 )
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.estimators.protocol import Innovation
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
 
 
 @dataclass(frozen=True)

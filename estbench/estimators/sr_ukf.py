@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import Fault, Innovation
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
     FactorBelief,
     FactorEstimator,
@@ -18,12 +18,12 @@ from estbench.estimators.factors import (
     psd_root,
     triangular,
 )
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
-from estbench.linalg import solve_lower
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import solve_lower
 
 
 @dataclass(frozen=True)

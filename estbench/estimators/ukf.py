@@ -5,21 +5,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.estimators.base import (
-    Fault,
-    Gaussian,
-    GaussianEstimator,
-    Innovation,
-    correct,
-    marked,
-    settle,
-)
+from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
+from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
-from estbench.linalg import cholesky, symmetrize
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import apply_correction, correct, mark_failed
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, symmetrize
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +55,7 @@ class SigmaPointFilter(GaussianEstimator):
         prior = replace(
             belief, mean=mean, cov=symmetrize(cov + Q), points=None if self.redraw else points
         )
-        return marked(prior, failed_factor(lower, belief.cov))
+        return mark_failed(prior, failed_factor(lower, belief.cov))
 
     def update(
         self,
@@ -90,7 +83,7 @@ class SigmaPointFilter(GaussianEstimator):
         cross = self.rule.cross(spread, residuals)
         c = correct(output.minus(y, predicted), S, cross, mask)
         cov = symmetrize(belief.cov - c.reduction)
-        posterior = settle(space, belief, c.delta, cov, np.where(fault, fault, c.fault))
+        posterior = apply_correction(space, belief, c.delta, cov, np.where(fault, fault, c.fault))
         return SigmaBelief(posterior.mean, posterior.cov, posterior.fault), c.innovation
 
 

@@ -9,15 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.manifold import Manifold, carry
-from estbench.models.base import Channels, Model
 from estbench.models.differences import Differences
-from estbench.naming import expand
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold, carry
+from estbench.spaces.patterns import expand
 
-Array = NDArray[np.float64]
 PerName = float | Sequence[float] | dict[str, float]
 
 

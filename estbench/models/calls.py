@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench.errors import DimensionError, ModelError, told
+from estbench.errors import DimensionError, ModelError, user_error_location
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 Matrix = Array | Callable[..., Array]
 """A matrix, or a function of time that returns one."""
 
@@ -24,7 +23,9 @@ def call(name: str, function: Callable[..., Any], *args: Any) -> Any:
     except Exception as error:
         shapes = " and ".join(str(a.shape) for a in args if isinstance(a, np.ndarray))
         given = f"{len(args)} arguments" + (f", arrays of shapes {shapes}" if shapes else "")
-        raise ModelError(f"{name} raised {told(error)}; it was called with {given}") from error
+        raise ModelError(
+            f"{name} raised {user_error_location(error)}; it was called with {given}"
+        ) from error
 
 
 def numbers(what: str, given: Any, expected: str) -> Array:

@@ -5,18 +5,16 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench import rotation
 from estbench.errors import DimensionError
-from estbench.linalg import symmetrize
-from estbench.manifold import Manifold
-from estbench.models.base import Channels, Model
 from estbench.models.calls import Matrix, matrix_at
 from estbench.models.differences import Differences
 from estbench.models.function import Function, FunctionModel
-
-Array = NDArray[np.float64]
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces import rotation
+from estbench.spaces.linalg import symmetrize
+from estbench.spaces.manifold import Manifold
 
 
 @runtime_checkable

@@ -6,12 +6,10 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError
-from estbench.manifold import Manifold
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError, DimensionError, ModelError
-from estbench.linalg import is_positive_definite, is_positive_semidefinite
-from estbench.manifold import Manifold
-from estbench.models.base import Channels
 from estbench.models.calls import Matrix, call, matrix_at, numbers
 from estbench.models.differences import Differences
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite
+from estbench.spaces.manifold import Manifold
 
-Array = NDArray[np.float64]
 Function = Callable[..., Array]
 
 

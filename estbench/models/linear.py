@@ -3,14 +3,12 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.linalg import is_positive_definite
-from estbench.manifold import Manifold
-from estbench.models.base import Channels
-
-Array = NDArray[np.float64]
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+from estbench.spaces.linalg import is_positive_definite
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,11 @@ draw over the step, N(0, Q_s/dt), as the `force` disturbance of a MuJoCo model d
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from estbench.errors import CovarianceError, DimensionError
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
 
 
 def van_loan(F: Array, Q_s: Array, dt: float, G: Array | None = None) -> tuple[Array, Array]:

@@ -4,13 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError
-from estbench.manifold import Manifold
-from estbench.models.base import Channels, Model
-
-Array = NDArray[np.float64]
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True)

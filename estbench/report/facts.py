@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estbench import setup
 from estbench.analysis.load import Stored
-from estbench.consistency import Verdict
+from estbench.consistency.nees import Verdict
 from estbench.errors import EstbenchError
-from estbench.estimators.base import Fault
-from estbench.models import layout, mjcf
-from estbench.quantity import quantity
-from estbench.report.data import Steps
+from estbench.estimators.beliefs import Fault
+from estbench.experiment import setup
+from estbench.report.figures.data import Steps
+from estbench.report.figures.traces import TraceStatistics
 from estbench.report.sources import Entry
-from estbench.report.traces import TraceStatistics
-from estbench.sensors import Channel
-from estbench.versions import known
+from estbench.robots import layout, mjcf
+from estbench.sensors.channel import Channel
+from estbench.store.versions import known
+from estbench.tables.quantity import quantity
 
 DIVERGED_ROWS = 100
 """Diverged runs listed of one estimator."""

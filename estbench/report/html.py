@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estbench
-from estbench.destination import check_file
 from estbench.errors import MissingExtraError, StoreError
-from estbench.lags import LAGS
-from estbench.report import data, facts, pictures, tables, traces
-from estbench.report.drawing import Drawing, Material
-from estbench.report.figures import drawings
+from estbench.inference.lags import LAGS
+from estbench.report import facts, pictures, tables
+from estbench.report.figures import data, traces
+from estbench.report.figures.drawing import Drawing, Material
+from estbench.report.figures.figures import drawings
 from estbench.report.sources import Entry, load
+from estbench.tables.destination import check_file
 
 try:
     import jinja2

@@ -6,13 +6,11 @@ from functools import reduce
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.analysis.comparison import Pair, Paired, compare, holm, paired, score
-from estbench.consistency import Interval
+from estbench.consistency.nees import Interval
 from estbench.report.sources import Entry
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
 
 MARGIN = 0.01
 """A relative difference that is too small to matter, as in `estbench compare`."""

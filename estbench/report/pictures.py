@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from estbench import setup
 from estbench.analysis.load import Stored
 from estbench.errors import EstbenchError
-from estbench.report import render, replay
+from estbench.experiment import setup
+from estbench.report.rendering import render, replay
 from estbench.report.sources import Entry
 
 Say = Callable[[str], None]
@@ -32,7 +32,7 @@ def picture(source: Stored, say: Say) -> str:
 def clips(entries: Sequence[Entry], say: Say) -> tuple[list[dict[str, Any]], str]:
     """Short videos of the best and of the worst run, or a line that says why there are none."""
     try:
-        from estbench.report import video
+        from estbench.report.rendering import video
 
         ends = [max(float(e.source.times[-1]) for e in entries)]
         speed = max(1.0, ends[0] / CLIP_SECONDS)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from estbench.analysis import load as stored
 from estbench.analysis.load import Stored
+from estbench.consistency.records import Record
+from estbench.consistency.summary import Summary
 from estbench.errors import StoreError, did_you_mean
-from estbench.records import Record
-from estbench.statistics import Summary
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,14 +7,15 @@ import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired
 from estbench.analysis.tables import bounds, number, percent, probability
-from estbench.quantity import quantity
-from estbench.report import facts, palette
-from estbench.report.drawing import Material
-from estbench.report.innovations import Correlation
+from estbench.report import facts
+from estbench.report.figures import palette
+from estbench.report.figures.drawing import Material
+from estbench.report.figures.innovations import Correlation
+from estbench.report.figures.traces import TraceStatistics
 from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
-from estbench.report.traces import TraceStatistics
-from estbench.versions import known, mixed
+from estbench.store.versions import known, mixed
+from estbench.tables.quantity import quantity
 
 MARKS = {"": "", "less": " ▼", "more": " ▲"}
 NONE = 1e-4

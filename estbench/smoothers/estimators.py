@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.base import Estimator, Gaussian, Passage
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.over import OverFilter
+from estbench.estimators.protocol import Estimator, FilterHistory
 from estbench.estimators.settings import in_range, table, whole
-from estbench.models.base import Model
+from estbench.models.protocol import Model
+from estbench.shapes import Array
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class RTS(FilterThenSmooth):
 
     bases: ClassVar[tuple[str, ...]] = ("ekf", "iekf", "sr_ekf", "kf", "lkf", "cd_ekf")
 
-    def smooth(self, passage: Passage) -> list[Gaussian]:
+    def smooth(self, passage: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
         posteriors = self._gaussians(passage.beliefs)
         return rts(self.model, posteriors, passage.controls, passage.times)
@@ -96,7 +96,7 @@ class URTS(FilterThenSmooth):
     base: str = "ukf"
     bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf")
 
-    def smooth(self, passage: Passage) -> list[Gaussian]:
+    def smooth(self, passage: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
         posteriors = self._gaussians(passage.beliefs)
         rule = getattr(self._filter, "rule", None)
@@ -131,7 +131,7 @@ class MAP(FilterThenSmooth):
         whole(self, "iterations", 1)
         in_range(self, "tolerance", 0.0, low_open=True)
 
-    def smooth(self, passage: Passage) -> list[Gaussian]:
+    def smooth(self, passage: FilterHistory) -> list[Gaussian]:
         """Window after window."""
         filtered, times = self._gaussians(passage.beliefs), np.asarray(passage.times)
         smoothed = []

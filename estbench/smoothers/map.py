@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from estbench.estimators.base import Fault, Gaussian, Measurement, marked
+from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.linear import without_absent
-from estbench.linalg import quadratic_form, symmetrize
-from estbench.manifold import carry
-from estbench.models.base import Model
+from estbench.estimators.protocol import Measurement
+from estbench.estimators.update import mark_failed
+from estbench.models.protocol import Model
+from estbench.shapes import Array
 from estbench.smoothers.rts import check_lengths
+from estbench.spaces.linalg import quadratic_form, symmetrize
+from estbench.spaces.manifold import carry
 
-Array = NDArray[np.float64]
 _SMALLEST = 2.0**-6
 """A step is halved this far while the cost rises, then taken all the same."""
 
@@ -132,7 +134,7 @@ def map_estimate(
     if covariance:
         system = _linearize(model, prior, controls, times, measurements, x)
         P = _covariances(system, count, space.n, fault == 0)
-    beliefs = [marked(Gaussian(x[:, k], P[:, k], prior.fault), fault) for k in range(count)]
+    beliefs = [mark_failed(Gaussian(x[:, k], P[:, k], prior.fault), fault) for k in range(count)]
     return MapEstimate(beliefs, taken, converged)
 
 

@@ -4,16 +4,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
-from estbench.estimators.base import Gaussian, settle
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ukf import failed_factor
-from estbench.linalg import cholesky, solve_lower, solve_lower_transposed, symmetrize
-from estbench.manifold import Manifold
-from estbench.models.base import Model
-
-Array = NDArray[np.float64]
+from estbench.estimators.update import apply_correction
+from estbench.models.protocol import Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, solve_lower, solve_lower_transposed, symmetrize
+from estbench.spaces.manifold import Manifold
 
 
 def rts(
@@ -70,7 +69,7 @@ def smooth_step(
     delta = (gain @ ahead[..., None])[..., 0]
     smoothed = symmetrize(now.cov + gain @ (after - cov) @ gain.mT)
     fault = np.where(later.fault, later.fault, failed_factor(lower, cov))
-    return settle(space, now, delta, smoothed, fault)
+    return apply_correction(space, now, delta, smoothed, fault)
 
 
 def gaussian(belief: Any) -> Gaussian:

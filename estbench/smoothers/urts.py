@@ -3,16 +3,12 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from estbench.estimators.base import Gaussian
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.sigma_points import SigmaPoints, scaled
-from estbench.linalg import cholesky, symmetrize
-from estbench.models.base import Model
+from estbench.models.protocol import Model
+from estbench.shapes import Array
 from estbench.smoothers.rts import check_lengths, gaussian, smooth_step
-
-Array = NDArray[np.float64]
+from estbench.spaces.linalg import cholesky, symmetrize
 
 
 def urts(

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench import cli
-from estbench.analysis import findings, formats, intervals, load
+from estbench.analysis import findings, formats, load
 from estbench.analysis.compare import compare_stores
 from estbench.analysis.comparison import paired
+from estbench.commands import cli
+from estbench.consistency import intervals
 from estbench.errors import AnalysisError, StoreError
-from estbench.lags import LAGS
+from estbench.inference.lags import LAGS
 
 
 @pytest.fixture(scope="module")

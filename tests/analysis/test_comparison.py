@@ -13,7 +13,7 @@ from estbench.analysis.comparison import (
     paired,
     score,
 )
-from estbench.consistency import Interval
+from estbench.consistency.nees import Interval
 
 INF = np.inf
 
@@ -208,10 +208,10 @@ def test_one_estimator():
 @pytest.mark.parametrize("estimators", [2, 3, 6])
 def test_fewest_runs_is_where_the_clearest_difference_shows(estimators):
     n = fewest_runs(estimators)
-    for runs, told in ((n, True), (n - 1, False)):
+    for runs, differs in ((n, True), (n - 1, False)):
         clear = np.arange(runs) / 100
         scores = {str(k): clear + k * (1 + clear) for k in range(estimators)}
-        assert any(p.differ for p in compare(scores)[0]) == told
+        assert any(p.differ for p in compare(scores)[0]) == differs
 
 
 def test_exponential():

@@ -8,7 +8,7 @@ import estbench
 from estbench.analysis import leaderboard
 from estbench.errors import AnalysisError, EstbenchError, StoreError
 from estbench.estimators import registry
-from estbench.scenario import bundled
+from estbench.scenario.load import bundled
 
 NAMES = ("ekf", "ukf", "kf", "ghkf", "pf")
 

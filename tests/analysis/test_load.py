@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import zarr
 
-from estbench import records
 from estbench.analysis.load import load
+from estbench.consistency import records
+from estbench.consistency.summary import summarize
 from estbench.errors import EstbenchError, StoreError
-from estbench.statistics import summarize
 
 
 def test_a_whole_store_is_what_was_run(stores):

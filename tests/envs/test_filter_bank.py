@@ -10,7 +10,7 @@ from estbench.envs.merge import select
 from estbench.envs.replay import Measurement
 from estbench.envs.world import World, prepare
 from estbench.errors import EstimatorError
-from estbench.manifold import Manifold
+from estbench.spaces.manifold import Manifold
 from tests.helpers import ESTIMATORS
 
 SETTINGS = {"particle": {"size": 50}, "enkf": {"size": 20}}

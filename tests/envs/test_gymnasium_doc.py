@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from estbench import scenario
-from estbench.cli import app
+from estbench.commands.cli import app
+from estbench.scenario import load as scenario
 
 TEXT = (Path(__file__).parents[2] / "docs" / "gymnasium.md").read_text(encoding="utf-8")
 

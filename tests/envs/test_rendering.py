@@ -17,9 +17,9 @@ from gymnasium.utils.env_checker import check_env
 import estbench.envs  # noqa: F401
 from estbench.envs.native import ScenarioEnv
 from estbench.envs.rendering import GhostRenderer
-from estbench.report import render, scene, window
-from estbench.scenario import load
-from estbench.setup import build
+from estbench.experiment.setup import build
+from estbench.report.rendering import render, scene, window
+from estbench.scenario.load import load
 from tests.report.conftest import needs_gl
 
 

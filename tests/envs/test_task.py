@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from estbench import scenario, setup
 from estbench.envs.task import Task
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
+from estbench.experiment import setup
+from estbench.scenario import load as scenario
 
 
 def task(name="cartpole", *overrides):

@@ -396,7 +396,7 @@ def test_a_step_after_the_end_and_actions_outside():
 
 
 def test_mujocos_global_settings_are_put_back():
-    from estbench.models import rows
+    from estbench.robots import batch as rows
 
     before = rows._depth
     envs = [wrapped(estimator="ekf"), gym.make("estbench/Pendulum-v0")]

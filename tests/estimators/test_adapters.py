@@ -6,11 +6,12 @@ import importlib
 import numpy as np
 import pytest
 
-from estbench import experiment
 from estbench.errors import EstimatorError, MissingExtraError
 from estbench.estimators import registry
 from estbench.estimators.adapters import stonesoup
-from estbench.estimators.base import Estimator, Fault
+from estbench.estimators.beliefs import Fault
+from estbench.estimators.protocol import Estimator
+from estbench.montecarlo import run as experiment
 from tests.helpers import PEERS, linear_model, mujoco_model, nonlinear_model, random_cov
 
 ROOTS = {"filterpy": "filterpy", "stonesoup": "stonesoup"}

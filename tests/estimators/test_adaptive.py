@@ -5,7 +5,7 @@ import pytest
 
 from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators.adaptive import AdaptiveEKF
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF
 from estbench.models.linear import LinearModel
 from tests.estimators.test_enkf import start

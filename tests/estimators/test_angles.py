@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from estbench.errors import DimensionError, EstimatorError
-from estbench.estimators.base import Gaussian, Measurement
+from estbench.estimators.beliefs import Gaussian
+from estbench.estimators.protocol import Measurement
 from estbench.estimators.registry import create
 from estbench.models.function import FunctionModel
 from estbench.smoothers.map import map_estimate

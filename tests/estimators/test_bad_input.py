@@ -5,11 +5,13 @@ import sys
 import numpy as np
 import pytest
 
-from estbench import cli, experiment, setup
+from estbench.commands import cli
 from estbench.errors import DimensionError, EstbenchError, EstimatorError
 from estbench.estimators import registry
+from estbench.experiment import setup
 from estbench.models.continuous import ContinuousFunctionModel
 from estbench.models.function import FunctionModel
+from estbench.montecarlo import run as experiment
 from tests.helpers import linear_model, random_cov
 
 MODEL = linear_model(0)

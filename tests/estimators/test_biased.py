@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.biased import BiasEKF, BiasUKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.registry import create

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from estbench import rotation
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.cd_ekf import ContinuousDiscreteEKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.kf import KF
 from estbench.estimators.lkf import LKF
 from estbench.estimators.sr_ekf import SquareRootEKF
 from estbench.estimators.ukf import UKF
-from estbench.manifold import Manifold
 from estbench.models.continuous import ContinuousFunctionModel, integrate, integrate_moments
 from estbench.models.differences import Differences
 from estbench.models.linear import LinearModel
 from estbench.models.noise import van_loan
+from estbench.spaces import rotation
+from estbench.spaces.manifold import Manifold
 from tests.helpers import linear_model, nonlinear_model, random_cov
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.converted import (
     FORMS,
     ConvertedEKF,
@@ -12,9 +12,9 @@ from estbench.estimators.converted import (
     predicted_noise,
 )
 from estbench.estimators.ekf import EKF
-from estbench.linalg import quadratic_form
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
+from estbench.spaces.linalg import quadratic_form
 from tests.helpers import random_cov
 
 DT = 1.0

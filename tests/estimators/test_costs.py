@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estbench.estimators import registry
-from estbench.estimators.base import Measurement, Passage
+from estbench.estimators.protocol import FilterHistory, Measurement
 from estbench.models.continuous import ContinuousFunctionModel
 from estbench.models.differences import Differences
 from tests.helpers import nonlinear_model
@@ -118,7 +118,7 @@ def test_looking_back(name, settings, expected):
     u, y = np.zeros((RUNS, 1)), np.ones((RUNS, N // 2 + 1))
     measured = [[], *([Measurement(y, u)] for _ in range(steps))]
     times = [0.1 * k for k in range(steps + 1)]
-    estimator.smooth(Passage(beliefs, [u] * steps, times, measured))
+    estimator.smooth(FilterHistory(beliefs, [u] * steps, times, measured))
     seen = f.taken() / steps, h.taken() / steps
     if expected is None:
         # At most 3 iterations, and one more linearization for the covariances.

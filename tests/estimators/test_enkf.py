@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from estbench import random
 from estbench.errors import DimensionError, EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.enkf import MEASUREMENT, EnKF
+from estbench.randomness import counter as random
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_cov, random_states
 
 FORMS = ("stochastic", "deterministic")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import DimensionError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
     FactorEstimator,
     cholesky_update,

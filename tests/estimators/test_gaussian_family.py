@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ckf import CKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.ghkf import GHKF

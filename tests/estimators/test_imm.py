@@ -4,16 +4,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estbench import experiment, setup
 from estbench.errors import DimensionError, EstimatorError, ScenarioError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.cd_ekf import ContinuousDiscreteEKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.imm import IMM, combine
 from estbench.estimators.ukf import UKF
+from estbench.experiment import setup
 from estbench.models.continuous import ContinuousFunctionModel
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
+from estbench.montecarlo import run as experiment
 from tests.estimators.test_enkf import start
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_cov, random_states
 

@@ -5,11 +5,11 @@ import pytest
 from kalman_py import ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 from kalman_py import diagnostics as their
 
-from estbench.consistency import chi_square_band
+from estbench.consistency.nees import chi_square_band
 from estbench.estimators import registry
-from estbench.linalg import quadratic_form
 from estbench.smoothers.rts import gaussian, rts
 from estbench.smoothers.urts import urts
+from estbench.spaces.linalg import quadratic_form
 from tests.helpers import linear_model, nonlinear_model, random_cov
 
 RUNS, STEPS, DT = 2, 20, 0.1

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from estbench import experiment, setup
 from estbench.errors import EstimatorError
 from estbench.estimators.ekf import EKF
 from estbench.estimators.kf import KF, tangent_map
+from estbench.experiment import setup
 from estbench.models.differences import Differences
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
+from estbench.montecarlo import run as experiment
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_cov, random_states
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from estbench.errors import DimensionError
 from estbench.estimators import registry
-from estbench.estimators.base import Fault, Gaussian, marked
+from estbench.estimators.beliefs import Fault, Gaussian
+from estbench.estimators.update import mark_failed
 from estbench.models.linear import LinearModel
 from tests.helpers import EXACT, linear_model, nonlinear_model, random_cov
 
@@ -228,6 +229,6 @@ def test_constant_velocity_settles_at_alpha_and_beta(name):
 
 def test_marking_keeps_the_first_fault():
     belief = Gaussian(np.zeros((3, 1)), np.ones((3, 1, 1)), np.array([0, 2, 0], np.uint8))
-    after = marked(belief, np.array([0, 3, 3]))
+    after = mark_failed(belief, np.array([0, 3, 3]))
     assert after.fault.tolist() == [0, 2, 3]
     np.testing.assert_array_equal(np.isnan(after.mean[:, 0]), [False, True, True])

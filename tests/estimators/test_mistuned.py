@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from estbench.estimators import registry
-from estbench.linalg import quadratic_form
+from estbench.spaces.linalg import quadratic_form
 from tests.helpers import linear_model, random_cov
 
 

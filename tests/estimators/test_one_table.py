@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks import estimators as benchmark
-from estbench import experiment
 from estbench.estimators import registry
+from estbench.montecarlo import run as experiment
 from tests.helpers import OTHER, SAMPLED
 
 SMALL = ["estimators.enkf={size=20}", "estimators.pf={size=500}"]

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from estbench import random
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.particle import RESAMPLING, ParticleFilter, systematic
 from estbench.models.function import FunctionModel
+from estbench.randomness import counter as random
 from tests.estimators.test_enkf import start
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_states
 

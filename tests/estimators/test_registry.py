@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estbench import inspection
+from estbench.commands import check as inspection
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.base import Estimator
 from estbench.estimators.ekf import EKF
+from estbench.estimators.protocol import Estimator
 from estbench.estimators.ukf import UKF
 from tests.helpers import DISCRETE, linear_model
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.robust import RobustEKF
 from tests.estimators.test_enkf import start

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.models.augmented import Augmented, Bias

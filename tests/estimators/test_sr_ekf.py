@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import SquareRootKalmanFilter
 
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF
 from estbench.estimators.sr_ekf import SquareRootEKF
 from estbench.models.function import FunctionModel

@@ -3,7 +3,7 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault
+from estbench.estimators.beliefs import Fault
 from estbench.estimators.sr_ukf import SquareRootUKF
 from estbench.models.function import FunctionModel
 from tests.helpers import nonlinear_model, random_cov

@@ -3,8 +3,8 @@ import pytest
 
 from estbench.errors import ScenarioError
 from estbench.models.augmented import Augmented, Bias
-from estbench.models.base import Model
 from estbench.models.differences import Differences
+from estbench.models.protocol import Model
 from tests.helpers import CENTERED, linear_model, mujoco_model, nonlinear_model, random_states
 
 SENSORS = (Bias("y0", 0.3, walk=0.1), Bias("y1", 0.2, time_constant=2.0))

@@ -3,7 +3,6 @@ import pytest
 from scipy.linalg import expm
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.models.base import Model
 from estbench.models.continuous import (
     ContinuousFunctionModel,
     ContinuousModel,
@@ -11,6 +10,7 @@ from estbench.models.continuous import (
 )
 from estbench.models.differences import Differences
 from estbench.models.noise import scheduled, van_loan
+from estbench.models.protocol import Model
 from tests.helpers import random_cov
 
 CENTERED = Differences("centered", 1e-5)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.manifold import Manifold
 from estbench.models.differences import Differences
-from estbench.models.layout import state_space
+from estbench.robots.layout import state_space
+from estbench.spaces.manifold import Manifold
 from tests.helpers import random_states, zoo_model
 
 LINE = Manifold.euclidean(2)

@@ -5,8 +5,8 @@ import pytest
 
 from estbench.errors import CovarianceError, DimensionError
 from estbench.estimators.ekf import EKF
-from estbench.models.base import Model
 from estbench.models.function import FunctionModel
+from estbench.models.protocol import Model
 from tests.helpers import nonlinear_model
 
 DT = 0.1

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.models.base import Model
 from estbench.models.linear import LinearModel
+from estbench.models.protocol import Model
 from tests.helpers import linear_model, random_cov
 
 CASES = [(0, 1, 1, 1), (1, 3, 2, 1), (2, 5, 1, 3), (3, 2, 4, 2)]

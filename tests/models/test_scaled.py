@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.models.base import Model
+from estbench.models.protocol import Model
 from estbench.models.scaled import ScaledNoise
 from tests.helpers import linear_model, nonlinear_model
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 import estbench
-from estbench.report import render, sources
+from estbench.report import sources
+from estbench.report.rendering import render
 
 needs_gl = pytest.mark.skipif(
     not render.available(), reason="neither OSMesa nor EGL: apt-get install libosmesa6"

@@ -8,8 +8,8 @@ pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 pytest.importorskip("websockets")
 
-from estbench.report import render
 from estbench.report.html import write_report
+from estbench.report.rendering import render
 from tests.report.browser import Browser
 
 if shutil.which("chromium") is None and shutil.which("chromium-browser") is None:

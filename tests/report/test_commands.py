@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import estbench.report
-from estbench import cli
+from estbench.commands import cli
 from estbench.errors import MissingExtraError
 from tests.report.conftest import needs_gl
 
@@ -126,7 +126,7 @@ def test_mistakes(store, monkeypatch, capsys, tmp_path):
 def test_nothing_to_draw_with(store, monkeypatch, capsys, tmp_path):
     pytest.importorskip("plotly")
     pytest.importorskip("PIL")
-    from estbench.report import render
+    from estbench.report.rendering import render
 
     monkeypatch.setattr(render, "_candidates", lambda: [])
     monkeypatch.setattr(render.platform, "system", lambda: "Linux")

@@ -12,13 +12,14 @@ import pytest
 pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
-from estbench.analysis.coverage import SIGMAS
-from estbench.consistency import chi_square_band, positive_mean_interval
-from estbench.records import SUMMARY
-from estbench.report import data, innovations, pairs, sources, traces
+from estbench.consistency.coverage import SIGMAS
+from estbench.consistency.nees import chi_square_band, positive_mean_interval
+from estbench.consistency.records import SUMMARY
+from estbench.consistency.summary import summarize
+from estbench.report import pairs, sources
+from estbench.report.figures import data, innovations, traces
 from estbench.report.html import render, write_report
 from estbench.report.tables import notices
-from estbench.statistics import summarize
 
 
 class Tables(HTMLParser):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import zarr
 
-from estbench import statistics
+from estbench.consistency import summary as statistics
 from estbench.errors import StoreError
 from estbench.report import sources
 

@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 
-from estbench import experiment, setup
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.base import Fault, Gaussian, Measurement, Passage, Smoother
+from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.ekf import EKF
-from estbench.filtering import Recorded, run_filter
-from estbench.fusion import Delays
-from estbench.models.rows import engine
+from estbench.estimators.protocol import FilterHistory, Measurement, Smoother
+from estbench.experiment import setup
+from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.fusion import Delays
+from estbench.montecarlo import run as experiment
+from estbench.robots.batch import engine
+from estbench.simulation.truth import simulate
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
-from estbench.truth import simulate
 from tests.helpers import linear_model, random_cov
 
 RUNS = 4
@@ -34,7 +36,7 @@ def passage(estimator, seed=0, steps=6, runs=3):
         beliefs.append(belief)
         controls.append(u)
         measurements.append([Measurement(y, u, None, mask)])
-    return Passage(beliefs, controls, [float(k) for k in range(steps + 1)], measurements)
+    return FilterHistory(beliefs, controls, [float(k) for k in range(steps + 1)], measurements)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -133,7 +135,7 @@ def test_a_late_reading_stands_where_it_belongs(latency):
     prepared, source = recorded("pendulum", f"channels.encoder.latency={latency}")
     witness = Witness(prepared.model())
     traced(witness, prepared, source, Delays(window=prepared.window))
-    seen: Passage = witness.seen  # type: ignore[attr-defined]
+    seen: FilterHistory = witness.seen  # type: ignore[attr-defined]
     ekf = EKF(prepared.model())
     belief = seen.beliefs[0]
     late = 0

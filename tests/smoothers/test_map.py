@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from estbench.errors import DimensionError
-from estbench.estimators.base import Fault, Gaussian, Measurement
+from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.ekf import EKF
+from estbench.estimators.protocol import Measurement
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from tests.estimators.test_enkf import start

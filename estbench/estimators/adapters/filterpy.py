@@ -4,14 +4,10 @@ import importlib
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
 from estbench.estimators.settings import scaled_rule
-
-Array = NDArray[np.float64]
+from estbench.shapes import Array
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
-from estbench.estimators.base import Fault, Gaussian, GaussianEstimator, Innovation, marked
-from estbench.linalg import cholesky, solve_lower
-from estbench.models.base import Channels, Model
+from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
+from estbench.estimators.protocol import Innovation
+from estbench.estimators.update import mark_failed
+from estbench.models.protocol import Channels, Model
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, solve_lower
 
-Array = NDArray[np.float64]
 Moments = tuple[Array, Array]
 """Mean `(n,)` and covariance `(n, n)` of one run."""
 
@@ -115,7 +117,7 @@ class PeerFilter(GaussianEstimator):
                 mean[i], cov[i] = self.predicted(mean[i].copy(), cov[i].copy(), one)
             except np.linalg.LinAlgError:
                 fault[i] = Fault.COVARIANCE
-        return marked(replace(belief, mean=mean, cov=cov), fault)
+        return mark_failed(replace(belief, mean=mean, cov=cov), fault)
 
     def update(
         self,
@@ -143,4 +145,4 @@ class PeerFilter(GaussianEstimator):
                 fault[i] = Fault.INNOVATION
         white = solve_lower(cholesky(S), residual[..., None])[..., 0]
         innovation = Innovation(residual, S, white, (white**2).sum(axis=-1), present.sum(axis=-1))
-        return marked(replace(belief, mean=mean, cov=cov), fault), innovation
+        return mark_failed(replace(belief, mean=mean, cov=cov), fault), innovation

@@ -8,13 +8,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
 from estbench.estimators.settings import scaled_rule
+from estbench.shapes import Array
 
-Array = NDArray[np.float64]
 EPOCH = datetime(2000, 1, 1)
 """Stone Soup wants dates; any will do."""
 

@@ -1,0 +1,1 @@
+"""Can the covariance be trusted: NEES, NIS, coverage, whiteness, and the verdict."""

@@ -1,0 +1,57 @@
+"""How often the error lies within 1, 2, 3 of the filter's own standard deviations."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from estbench.consistency.nees import Interval, mean_interval
+from estbench.shapes import Array
+
+SIGMAS = (1, 2, 3)
+EXPECTED = tuple(float(special.erf(k / np.sqrt(2))) for k in SIGMAS)
+"""Shares of a normal error: 0.683, 0.954, 0.997."""
+
+
+def inside(error: Array, std: Array) -> Array:
+    """Share of the steps at which |error| <= kσ, k = 1, 2, 3: `(run, coordinate, 3)`.
+
+    A step whose error or σ is not finite is outside.
+
+    Args:
+        error: x ⊖ x̂ `(step, run, coordinate)`.
+        std: the filter's σ, the same shape.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(error) / std
+        return np.stack([(ratio <= k).mean(axis=0) for k in SIGMAS], axis=-1)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """One coordinate, or a group of them.
+
+    Attributes:
+        shares: within 1, 2, 3σ, with intervals across runs.
+    """
+
+    shares: tuple[Interval, ...]
+
+    @property
+    def as_expected(self) -> tuple[bool, ...]:
+        """Whether each interval holds the share of a normal error."""
+        return tuple(e in i for e, i in zip(EXPECTED, self.shares))
+
+
+def coverage(shares: Array, level: float = 0.95) -> Coverage:
+    """Mean share over the runs with Student's t interval, cut to [0, 1].
+
+    Steps of one run are correlated, so the spread is taken across runs.
+
+    Args:
+        shares: `(run, 3)` of one coordinate, or `(run, coordinate, 3)` of a group: their mean.
+        level: confidence.
+    """
+    each = shares.mean(axis=1) if shares.ndim == 3 else shares
+    found = (mean_interval(column, level) for column in each.T)
+    return Coverage(tuple(Interval(i.value, max(i.low, 0.0), min(i.high, 1.0)) for i in found))

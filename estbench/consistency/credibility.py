@@ -1,0 +1,92 @@
+"""Noncredibility index and inclination indicator: how far, and to which side, P is off.
+
+X. R. Li & Z. Zhao, "Measuring estimator's credibility: noncredibility index", FUSION 2006. Unlike
+ANEES the index weighs optimism and pessimism alike: it compares, run by run, NEES with what NEES
+would be if the covariance were the errors' true mean square matrix.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, solve_lower
+
+
+@dataclass(frozen=True, eq=False)
+class Credibility:
+    """In decibels; 0 is credible.
+
+    Attributes:
+        nci: γ = 10/M Σᵢ |log₁₀ ρᵢ| at each step `(step,)`.
+        inclination: ν = 10/M Σᵢ log₁₀ ρᵢ `(step,)`: above 0 optimistic (P too small), below 0
+            pessimistic.
+        expected: γ of a credible estimator with as many runs: the mean square matrix is itself
+            estimated from them, so γ is never 0.
+    """
+
+    nci: Array
+    inclination: Array
+    expected: float
+
+
+def mean_square(error: Array) -> Array:
+    """Σ = 1/M Σᵢ eᵢ eᵢᵀ over the runs at each step `(step, n, n)`, of errors `(run, step, n)`."""
+    return np.einsum("rki,rkj->kij", error, error, optimize=True) / len(error)
+
+
+def log_ratios(error: Array, nees: Array, square: Array) -> Array:
+    """10 log₁₀ ρ, ρ = eᵀP⁻¹e / eᵀΣ⁻¹e of each run and step `(run, step)`, dB.
+
+    Args:
+        error: x ⊖ x̂ `(run, step, n)`.
+        nees: eᵀP⁻¹e `(run, step)`.
+        square: Σ `(step, n, n)`, as `mean_square` of all runs gives it. Where it is singular (fewer
+            runs than coordinates) the ratio is NaN.
+    """
+    white = solve_lower(cholesky(square), np.moveaxis(error, 0, -1))  # (step, n, run)
+    ideal = np.einsum("kir,kir->rk", white, white)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return 10 * np.log10(nees / ideal)
+
+
+def credibility(batches: Callable[[], Iterable[tuple[Array, Array]]]) -> Credibility:
+    """NCI and inclination at each step, of runs that need not all be in memory at once.
+
+    Args:
+        batches: gives, each time it is called, x ⊖ x̂ `(run, step, n)` and NEES `(run, step)` of the
+            runs that were not lost, batch by batch. It is called twice: Σ takes all runs. No more
+            runs than coordinates give NaN.
+    """
+    runs, square, n = 0, np.zeros(()), 0
+    for error, _ in batches():
+        square = square + len(error) * mean_square(error) if len(error) else square
+        runs, n = runs + len(error), error.shape[-1]
+    if runs <= n:  # Σ has no inverse
+        nothing = np.full(square.shape[:1] or 1, np.nan)
+        return Credibility(nothing, nothing, np.nan)
+    square = square / runs
+    size = total = np.zeros(square.shape[:1])
+    for error, nees in batches():
+        if len(error):
+            ratios = log_ratios(error, nees, square)
+            size, total = size + np.abs(ratios).sum(axis=0), total + ratios.sum(axis=0)
+    return Credibility(size / runs, total / runs, expected(n, runs))
+
+
+def expected(n: int, runs: int, repetitions: int = 200, seed: int = 0) -> float:
+    """NCI of an estimator whose P is right, dB, by Monte Carlo; NaN for `runs` <= n.
+
+    Args:
+        n: dimension of the error.
+        runs: over which Σ is estimated; many are taken as 10,000.
+        repetitions: of the simulation; fewer where there are many runs.
+        seed: of the simulation.
+    """
+    if runs <= n:
+        return float("nan")
+    runs = min(runs, 10_000)
+    count = max(2, min(repetitions, 100_000 // runs))
+    error = np.random.default_rng(seed).standard_normal((runs, count, n))
+    return float(np.abs(log_ratios(error, (error**2).sum(-1), mean_square(error))).mean())

@@ -1,0 +1,88 @@
+"""The Gaussian belief, how a run fails, and the start that the Gaussian filters share."""
+
+import inspect
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError
+from estbench.estimators.protocol import Estimator
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
+
+
+class Fault(IntEnum):
+    """Why a run stopped being estimated; the value is stored a run, the text is for people."""
+
+    NONE = 0
+    STATE = 1
+    COVARIANCE = 2
+    INNOVATION = 3
+    TRUTH = 4
+
+    @property
+    def text(self) -> str:
+        """What failed, in words."""
+        return (
+            "",
+            "the estimate is not finite",
+            "the state covariance P is not positive definite",
+            "the innovation covariance S is not positive definite",
+            "the simulation of the truth failed",
+        )[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """A Gaussian belief: mean `(run, nx)`, covariance `(run, n, n)` in the tangent at the mean.
+
+    A failed run has NaN in both and its `Fault` in `fault` `(run,)`; it stays failed.
+    """
+
+    mean: Array
+    cov: Array
+    fault: NDArray[np.uint8]
+
+
+def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
+    """Refuse a prior that does not fit the state's manifold, where that is known.
+
+    A covariance that is not positive semidefinite is no mistake here: its run is marked as failed.
+
+    Raises:
+        DimensionError: mean is not `(run, nx)`, or cov not `(run, n, n)`.
+    """
+    nx, n = (mean.shape[-1], cov.shape[-1]) if space is None else (space.nx, space.n)
+    if mean.shape != (len(mean), nx) or cov.shape != (len(mean), n, n):
+        raise DimensionError(
+            f"mean has shape {mean.shape} and cov {cov.shape}; expected (run, nx), (run, n, n) "
+            f"with nx = {nx} and n = {n}"
+        )
+
+
+def start(
+    estimator: Estimator, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
+) -> Any:
+    """The belief at the start; an estimator that draws random numbers gets a key `(run,)` each."""
+    random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
+    return estimator.init(mean, cov, **({"keys": keys} if random else {}))
+
+
+class GaussianEstimator:
+    """Shared by the estimators whose belief is a `Gaussian`: init, mean and cov."""
+
+    def init(self, mean: Array, cov: Array) -> Gaussian:
+        """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
+        check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
+        return Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
+
+    def mean(self, belief: Gaussian) -> Array:
+        """x̂ `(run, nx)`."""
+        return belief.mean
+
+    def cov(self, belief: Gaussian) -> Array:
+        """P `(run, n, n)`."""
+        return belief.cov

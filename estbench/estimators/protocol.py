@@ -1,0 +1,105 @@
+"""What an estimator is asked for, what it answers, and what a smoother looks back on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.models.protocol import Channels
+from estbench.shapes import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What a measurement said: ν and S `(run, m)`, `(run, m, m)`.
+
+    Attributes:
+        residual: ν = y ⊖ ŷ; zero where nothing arrived.
+        cov: S.
+        white: L⁻¹ ν with S = L Lᵀ, standard normal for a consistent filter `(run, m)`.
+        nis: νᵀ S⁻¹ ν `(run,)`.
+        dof: how many components arrived `(run,)`.
+    """
+
+    residual: Array
+    cov: Array
+    white: Array
+    nis: Array
+    dof: NDArray[np.int64]
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """The methods an estimator of any family has; no base class is needed.
+
+    It is built as `Class(model, **settings)`. Methods are pure: they return new beliefs.
+    """
+
+    def init(self, mean: Array, cov: Array) -> Any:
+        """The belief at the start from mean `(run, nx)` and covariance `(run, n, n)`."""
+        ...
+
+    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+        """The belief at t + dt, given the belief at t and the control `(run, nu)` held between."""
+        ...
+
+    def update(
+        self,
+        belief: Any,
+        y: Array,
+        u: Array,
+        t: float,
+        channels: Channels = None,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> tuple[Any, Innovation]:
+        """The belief given the measurement y `(run, ny)` of `channels` at t.
+
+        `mask` `(run, m)` is True where a component has arrived; None means everywhere.
+        """
+        ...
+
+    def mean(self, belief: Any) -> Array:
+        """x̂ `(run, nx)`."""
+        ...
+
+    def cov(self, belief: Any) -> Array:
+        """P `(run, n, n)` in the tangent at x̂."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What arrived at one instant: y `(run, ny)` under u `(run, nu)`, as in `update`."""
+
+    y: Array
+    u: Array
+    channels: Channels = None
+    mask: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FilterHistory:
+    """A filter's whole way through some runs, for a smoother to look back on.
+
+    Attributes:
+        beliefs: K + 1, the first at the start, the others after the updates.
+        controls: K, each `(run, nu)`, held from one time to the next.
+        times: K + 1, in s.
+        measurements: K + 1 lists of what was fused at each time; the first is empty.
+    """
+
+    beliefs: list[Any]
+    controls: list[Array]
+    times: list[float]
+    measurements: list[list[Measurement]]
+
+
+@runtime_checkable
+class Smoother(Estimator, Protocol):
+    """An estimator that also looks back; its smoothed beliefs are the ones that are judged."""
+
+    def smooth(self, passage: FilterHistory) -> Sequence[Any]:
+        """K + 1 beliefs, each given all measurements (or those of a window)."""
+        ...

@@ -1,0 +1,114 @@
+"""The measurement update that every Gaussian filter shares: condition, correct, mark failures."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.estimators.beliefs import Fault, Gaussian
+from estbench.estimators.protocol import Innovation
+from estbench.shapes import Array
+from estbench.spaces.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
+from estbench.spaces.manifold import Manifold
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """The linear estimate of the error from an innovation: δ = K ν.
+
+    Its gain K and its reduction K S Kᵀ are products that few filters need both of.
+
+    Attributes:
+        delta: K ν `(run, n)`.
+        innovation: ν, S and NIS.
+        fault: `Fault.INNOVATION` where S has no Cholesky factor.
+        white: W = L⁻¹ Pxyᵀ `(run, m, n)`, with S = L Lᵀ.
+        whitening: L⁻¹ `(run, m, m)`.
+    """
+
+    delta: Array
+    innovation: Innovation
+    fault: NDArray[np.uint8]
+    white: Array
+    whitening: Array
+
+    @cached_property
+    def gain(self) -> Array:
+        """K = Wᵀ L⁻¹ `(run, n, m)`."""
+        return self.white.mT @ self.whitening
+
+    @cached_property
+    def reduction(self) -> Array:
+        """K S Kᵀ = Wᵀ W `(run, n, n)`, what the update takes from P."""
+        return self.white.mT @ self.white
+
+
+def correct(
+    residual: Array, S: Array, cross: Array, mask: NDArray[np.bool_] | None = None
+) -> Correction:
+    """Condition on an innovation: K = Pxy S⁻¹ by Cholesky (source 003, eq. 3-4; Bishop, eq. 20).
+
+    With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K ν = Wᵀ (L⁻¹ ν), NIS = |L⁻¹ ν|².
+    A component that did not arrive is taken out exactly: its cross-covariance and residual are
+    zero and its row and column of S are those of the identity.
+
+    Args:
+        residual: ν `(run, m)`.
+        S: innovation covariance `(run, m, m)`, R included.
+        cross: Pxy `(run, n, m)` (P Hᵀ for a linear measurement).
+        mask: `(run, m)`, True where a component arrived.
+    """
+    m, n = S.shape[-1], cross.shape[-2]
+    if mask is not None and not mask.all():
+        S = pad_absent(S, mask)
+        cross = np.where(mask[:, None, :], cross, 0.0)
+        residual = np.where(mask, residual, 0.0)
+        dof = mask.sum(axis=-1)
+    else:
+        dof = np.full(len(S), m)
+    lower = cholesky(S)
+    joint = np.zeros((len(S), m, n + 1 + m))
+    joint[..., :n], joint[..., n], joint[..., n + 1 :] = cross.mT, residual, identity(m)
+    joint = solve_lower(lower, joint)
+    W, white = joint[..., :n], joint[..., n]
+    delta = (W.mT @ white[..., None])[..., 0]
+    nis = np.vecdot(white, white)
+    fault = np.zeros(len(S), np.uint8)
+    if not surely_finite(nis):
+        factored = np.isfinite(lower[:, 0, 0])
+        fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
+    innovation = Innovation(residual, S, white, nis, dof)
+    return Correction(delta, innovation, fault, W, joint[..., n + 1 :])
+
+
+def apply_correction(
+    space: Manifold,
+    prior: Gaussian,
+    delta: Array,
+    cov: Array,
+    fault: NDArray[np.uint8] | None = None,
+) -> Gaussian:
+    """The posterior x̂⁻ ⊞ δ with its covariance carried to the new tangent; failures marked."""
+    return mark_failed(
+        replace(prior, mean=space.plus(prior.mean, delta), cov=space.transport(cov, delta)), fault
+    )
+
+
+def mark_failed(belief: Gaussian, fault: NDArray[np.uint8] | None = None) -> Gaussian:
+    """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
+    failed = np.count_nonzero(belief.fault) or (fault is not None and np.count_nonzero(fault))
+    if not failed and surely_finite(belief.mean, belief.cov):
+        return belief
+    finite = np.isfinite(belief.mean).all(axis=-1) & np.isfinite(belief.cov).all(axis=(-2, -1))
+    code = np.where(finite, Fault.NONE, Fault.STATE).astype(np.uint8)
+    if fault is not None:
+        code = np.where(fault, fault, code)
+    code = np.where(belief.fault, belief.fault, code)
+    bad = code != Fault.NONE
+    return replace(
+        belief,
+        mean=np.where(bad[:, None], np.nan, belief.mean),
+        cov=np.where(bad[:, None, None], np.nan, belief.cov),
+        fault=code,
+    )

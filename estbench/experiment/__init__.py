@@ -1,0 +1,1 @@
+"""A scenario as objects: models, sensors, schedule, noise, priors."""

@@ -1,0 +1,218 @@
+"""What the sections of a scenario stand for on its robot: noise, start, channels, defaults."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
+from estbench.robots import layout, mjcf, parameters
+from estbench.robots.disturbance import Disturbance
+from estbench.robots.measurement import Measurand
+from estbench.robots.model import Scale, SensorChannel
+from estbench.scenario.schema import (
+    BelievedChannelSection,
+    FilterSection,
+    InitialSection,
+    ProcessNoiseSection,
+    Scenario,
+)
+from estbench.sensors import channel as sensors
+from estbench.sensors import datasheet, schedules
+from estbench.sensors.channel import Channel
+from estbench.sensors.timing import Instant, Native
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
+from estbench.spaces.patterns import expand
+
+DEFAULT_DENSITY = 0.01
+
+
+def robots(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel, mujoco.MjModel]:
+    """The robot's description, the true robot, and the one that the filter believes in.
+
+    Raises:
+        ScenarioError: a robot cannot be compiled, or has no state.
+        DimensionError: the two have different states or controls.
+    """
+    section, belief = scenario.model, scenario.filter
+    added = {name: c.add for name, c in scenario.channels.items() if c.add is not None}
+    spec = mjcf.read(section.path, added)
+    truth = mjcf.compile_model(
+        spec,
+        timestep=section.timestep,
+        integrator=section.integrator,
+        settings=section.set,
+    )
+    believed = mjcf.compile_model(
+        mjcf.read(belief.path, added) if belief.path else spec,
+        timestep=belief.timestep or section.timestep,
+        integrator=belief.integrator or section.integrator,
+        settings=section.set,
+        where="filter" if belief.path else "model",
+    )
+    truth = parameters.changed(truth, scenario.truth.set, "truth.set")
+    believed = parameters.changed(believed, belief.set, "filter.set")
+    for name, model in (("model", truth), ("filter", believed)):
+        if not model.opt.timestep > 0:
+            raise ScenarioError(f"{name}.timestep is {model.opt.timestep:g} s; use one above 0")
+    space = layout.state_space(truth)
+    if not space.n:
+        raise ScenarioError(
+            f"model.path '{section.path}' has no joint: there is no state to estimate"
+        )
+    if layout.state_space(believed).names != space.names or believed.nu != truth.nu:
+        raise DimensionError(
+            f"filter.path: states {', '.join(layout.state_space(believed).names)} with "
+            f"{believed.nu} controls; expected {', '.join(space.names)} with {truth.nu}"
+        )
+    return spec, truth, believed
+
+
+def disturbance(
+    section: ProcessNoiseSection,
+    model: mujoco.MjModel,
+    space: Manifold,
+    duration: float,
+    notices: list[str],
+) -> Disturbance:
+    """The true process noise."""
+    density, assumed = section.density, ""
+    if density is None:
+        density = DEFAULT_DENSITY
+        if section.kind == "additive":
+            # Noise on the velocities alone: positions then move as their derivatives say.
+            values = np.zeros(space.n)
+            values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
+            density = values.tolist()
+        if section.matrix is None:
+            what = {"additive": "every velocity, (unit)²/s", "force": "every force, (N or N m)² s"}
+            assumed = what.get(section.kind, "every control, (unit)² s")
+    disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
+    axes, where = len(disturbance.density), "process_noise"
+    schedule = schedules.build(section.schedule, axes, duration, f"{where}.schedule", "Q_s")
+    notices += schedules.unused(schedule, section, ("density", "matrix"), where)
+    if schedule is not None:
+        disturbance = disturbance.scheduled(schedule.at)
+    if assumed and schedules.whole(schedule) is None:
+        notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {assumed}")
+    if not disturbance.rank:
+        notices.append("process noise is zero: an estimator's gain will vanish with time")
+    return disturbance
+
+
+def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:
+    """Say which defaults stand in for sections that the scenario leaves out."""
+    given = scenario.model_fields_set
+    if scenario.model.keyframe is None:
+        first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
+        notices.append(f"no model.keyframe given; starting about {first}")
+    if "initial" not in given:
+        notices.append(f"no [initial] given; assuming a std of {scenario.initial.std} everywhere")
+    if "control" not in given:
+        notices.append("no [control] given; holding the nominal control")
+    if "simulation" not in given:
+        simulation = scenario.simulation
+        notices.append(
+            f"no [simulation] given; {simulation.runs} runs of {simulation.duration:g} s, "
+            f"seed {simulation.seed}"
+        )
+
+
+def initial(
+    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Array
+) -> tuple[Array, Array]:
+    """x̂₀ and P₀."""
+    mean = x0.copy()
+    parts = {
+        "qpos": slice(0, model.nq),
+        "qvel": slice(model.nq, model.nq + model.nv),
+        "act": slice(model.nq + model.nv, None),
+    }
+    for name, part in parts.items():
+        given = getattr(section, name)
+        if given is not None:
+            if len(given) != len(mean[part]):
+                raise DimensionError(
+                    f"initial.{name} has {len(given)} values; expected {len(mean[part])}"
+                )
+            mean[part] = given
+    mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
+    if section.cov is None:
+        std = expand(section.std, space.names, "initial.std")
+        if not (std > 0).all():
+            worst = int(std.argmin())
+            raise CovarianceError(
+                f"initial.std is {std[worst]:g} for {space.names[worst]}; P₀ must be positive "
+                "definite, so give every coordinate a std above 0 (later patterns win)"
+            )
+        return mean, np.diag(std**2)
+    return mean, datasheet.matrix(section.cov, space, "initial.cov", "P₀")
+
+
+def believed_channels(
+    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection, duration: float
+) -> tuple[SensorChannel, ...]:
+    """The channels as the filter believes them, their sensors found by name in its model."""
+    names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
+    known = [c.name for c in channels]
+    for name in section.channels:
+        if name not in known:
+            raise ScenarioError(f"filter.channels: no channel '{name}'{did_you_mean(name, known)}")
+    out = []
+    for channel in channels:
+        belief = section.channels.get(channel.name, BelievedChannelSection())
+        R, scale = _believed_noise(channel, belief, section.measurement_noise_scale, duration)
+        source = channel.source
+        if not source.function:
+            missing = [name for name in channel.sensors if name not in names]
+            if missing:
+                raise ScenarioError(
+                    f"filter.path: the filter's model has no sensor {', '.join(missing)}"
+                )
+            indices = [names.index(name) for name in channel.sensors]
+            source = Measurand.of_sensors(model, *indices, axes=source.axes)
+        out.append(SensorChannel(channel.name, -1, R, scale, source))
+    return tuple(out)
+
+
+def _believed_noise(
+    channel: Channel, belief: BelievedChannelSection, scale: float, duration: float
+) -> tuple[Array, Scale | None]:
+    """R `(m, m)` of a channel as the filter believes it, and what becomes of it over time."""
+    where = f"filter.channels.{channel.name}"
+    own = schedules.build(belief.schedule, channel.space.n, duration, f"{where}.schedule")
+    if own is None and belief.follow_schedule:
+        own = channel.schedule
+    R = schedules.whole(own)
+    if R is not None and (belief.noise is not None or belief.cov is not None):
+        raise ScenarioError(
+            f"{where} has a constant R of its own, and follows a schedule of whole covariances; "
+            "give one of them (follow_schedule = false, or a schedule of factors)"
+        )
+    R = scale * (sensors.believed_covariance(channel, belief) if R is None else R)
+    return R, None if own is None else schedules.Scaled(own, scale).at
+
+
+def native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Native]:
+    """Sensor -> its rhythm by the MJCF, for the sensors that have a history."""
+    return {
+        layout.sensor_name(model, i): Native(
+            float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
+            int(sensor.nsample),
+        )
+        for i, sensor in enumerate(spec.sensors)
+        if sensor.nsample > 0
+    }  # fmt: skip
+
+
+def silent(channels: Sequence[Channel], last: Instant) -> list[str]:
+    """A notice of each channel of which nothing can arrive before the run ends."""
+    notices = []
+    for channel in channels:
+        due = channel.timing.due(last.tick)
+        if not len(due) or due[0] + channel.timing.latency > last.tick:
+            notices.append(
+                f"{channel.name}: its first reading would arrive after the run of {last.end:g} s"
+            )
+    return notices

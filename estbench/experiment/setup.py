@@ -1,0 +1,289 @@
+"""From a validated scenario to the objects of an experiment: models, sensors, schedule, noise."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from estbench.consistency.records import RESERVED
+from estbench.errors import EstimatorError, ScenarioError
+from estbench.estimators import registry
+from estbench.estimators.adaptive import AdaptiveEKF
+from estbench.estimators.protocol import Estimator
+from estbench.experiment import build as resolution
+from estbench.inference import initialization as starting
+from estbench.inference.fusion import Delays
+from estbench.models.differences import Differences
+from estbench.robots import layout, mjcf, parameters
+from estbench.robots.disturbance import Disturbance
+from estbench.robots.model import MujocoModel, SensorChannel, whole_steps
+from estbench.scenario import load as scenarios
+from estbench.scenario.schema import BelievedChannelSection, Scenario, StartSection
+from estbench.sensors import channel as sensors
+from estbench.sensors import timing
+from estbench.sensors.channel import Channel
+from estbench.sensors.timing import Instant
+from estbench.shapes import Array
+from estbench.simulation import controllers
+from estbench.simulation.truth import Simulator
+from estbench.smoothers.estimators import MAP
+from estbench.spaces.manifold import Manifold
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that is the same for all runs; what one batch needs is built by its methods.
+
+    Attributes:
+        scenario: what it was built from.
+        plant: the nominal robot: truth model, state space, keyframe, control period.
+        filter_model: the MuJoCo model as the filter believes it.
+        filter_channels: the filter's sensors and R.
+        channels: the true sensors.
+        instants: the event loop's schedule.
+        disturbance: the true process noise; the filter's is `filter_disturbance`.
+        mean, cov: x̂₀ `(nx,)` and P₀ `(n, n)`.
+        notices: what was assumed where the scenario is silent.
+    """
+
+    scenario: Scenario
+    plant: controllers.Plant
+    filter_model: mujoco.MjModel
+    filter_channels: tuple[SensorChannel, ...]
+    channels: tuple[Channel, ...]
+    instants: tuple[Instant, ...]
+    disturbance: Disturbance
+    filter_disturbance: Disturbance
+    mean: Array
+    cov: Array
+    notices: tuple[str, ...]
+
+    @property
+    def space(self) -> Manifold:
+        """The state space."""
+        return self.plant.space
+
+    @property
+    def times(self) -> Array:
+        """Start and end of every instant `(K + 1,)`, s."""
+        return np.array([0.0] + [i.end for i in self.instants])
+
+    def model(self, nthread: int = 1, robot: mujoco.MjModel | None = None) -> MujocoModel:
+        """A fresh filter model; one for each thread, or of another `robot` with the same state."""
+        section = self.scenario.filter
+        return MujocoModel(
+            robot or self.filter_model,
+            self.filter_channels,
+            self.filter_disturbance,
+            Differences(section.differences, section.step),
+            nthread,
+            self.plant.u0,
+        )
+
+    @property
+    def channel_spaces(self) -> dict[str, Manifold]:
+        """Channel -> the manifold of its readings, in the measurement's order."""
+        return {c.name: c.space for c in self.channels}
+
+    def estimator(self, label: str) -> Estimator:
+        """The estimator of that label on a fresh model, started as the scenario says."""
+        model, start = self.model(), self.start(label)
+        settings = self.settings(label)
+        if isinstance(settings.get("models"), list):
+            settings["models"] = [self._varied(label, table) for table in settings["models"]]
+        made = registry.create(label, settings, model)
+        if start.method == "prior":
+            return made
+        return starting.WarmStart(made, model, start.window, start.method)
+
+    def _varied(self, label: str, changes: Any) -> MujocoModel:
+        """The filter's model with some parameters set, as one of the `models` of an estimator."""
+        where = f"estimators.{label}.models"
+        if not isinstance(changes, dict):
+            raise ScenarioError(
+                f"{where}: {changes!r} is no table; use one like that of filter.set"
+            )
+        return self.model(robot=parameters.changed(self.filter_model, changes, where))
+
+    def settings(self, label: str) -> dict[str, Any]:
+        """The estimator's own settings, without those of the event loop."""
+        settings = self.scenario.estimators[label]
+        return {k: v for k, v in settings.items() if k not in ("delays", "start")}
+
+    def start(self, label: str) -> StartSection:
+        """How the estimator of that label starts."""
+        return scenarios.start(self.scenario, label)
+
+    def prior(self, label: str) -> tuple[Array, Array]:
+        """x̂₀ `(nx,)` and P₀ `(n, n)` that the estimator of that label is given."""
+        start, nq, nv = self.start(label), self.plant.model.nq, self.plant.model.nv
+        mean, cov = starting.displaced(self.space, self.mean, self.cov, start.offset, start.inflate)
+        if start.method == "static":
+            speeds = slice(nq, nq + nv), slice(nv, 2 * nv)
+            mean, cov = starting.at_rest(mean, cov, *speeds, start.rest_std)
+        return mean, cov
+
+    def delays(self, label: str) -> Delays:
+        """What the estimator of that label does about late readings."""
+        section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
+        handling = self.scenario.estimators[label].get("delays", section.delays)
+        if handling not in ("exact", "naive"):
+            raise EstimatorError(f"{label}: delays is {handling!r}; use 'exact' or 'naive'")
+        believed = {
+            name: round(channel.latency / timestep)
+            for name, channel in section.channels.items()
+            if channel.latency is not None
+        }
+        nominal = frozenset(n for n, c in section.channels.items() if c.timestamps == "due")
+        return Delays(handling, self.window, believed, nominal)
+
+    @property
+    def window(self) -> int:
+        """How far exact delay handling can go back, in physics steps."""
+        section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
+        if section.window is not None:
+            return int(section.window / timestep + 1e-9)
+        late = [c.timing.longest for c in self.channels]
+        late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
+        # A reading is fused at the first instant after its arrival, up to one interval later.
+        slack = max(i.nstep for i in self.instants) if any(late) else 0
+        return max(late, default=0) + slack
+
+    def simulator(self, runs: Sequence[int]) -> Simulator:
+        """The true robot for some runs."""
+        return Simulator(
+            self.plant.model,
+            self.space,
+            self.channels,
+            self.instants,
+            self.disturbance,
+            (self.mean, np.asarray(np.linalg.cholesky(self.cov), np.float64)),
+            self.scenario.truth.draw,
+            self.scenario.simulation.seed,
+            runs,
+        )
+
+    def controller(self, runs: Sequence[int]) -> controllers.Controller:
+        """The controller for some runs, its errors made clear."""
+        section = self.scenario.control
+        steps = sum(i.control for i in self.instants)
+        seed = self.scenario.simulation.seed
+        made = controllers.build(section, self.plant, seed, runs, steps)
+        name = section.function if section.kind == "user" else section.kind
+        return controllers.checked(made, name or section.kind, self.plant.model.nu)
+
+
+def build(scenario: Scenario) -> Setup:
+    """Resolve a scenario.
+
+    Raises:
+        ScenarioError, DimensionError, CovarianceError, EstimatorError, ControllerError: whatever
+            does not fit, before anything is simulated or written.
+    """
+    section, belief = scenario.model, scenario.filter
+    spec, truth, believed = resolution.robots(scenario)
+    space = layout.state_space(truth)
+    duration = scenario.simulation.duration
+    channels, notices = sensors.build(
+        truth,
+        scenario.channels,
+        scenario.sensors,
+        section.frame_skip,
+        duration,
+        resolution.native_timing(spec, truth),
+        belief.channels,
+    )
+    # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
+    truth.sensor_cutoff[np.isfinite(sensors.native_cutoff(truth))] = 0.0
+    x0, u0 = mjcf.keyframe(truth, section.keyframe)
+    mean, cov = resolution.initial(scenario.initial, truth, space, x0)
+    instants = timing.instants(
+        [(c.name, c.timing) for c in channels], truth.opt.timestep, section.frame_skip, duration
+    )
+    notices += resolution.silent(channels, instants[-1])
+    burn_in, end = scenario.consistency.burn_in, instants[-1].end
+    if not math.isclose(end, duration, rel_tol=1e-9):
+        period = section.frame_skip * truth.opt.timestep
+        notices.append(
+            f"a duration of {duration:g} s was asked for, {end:g} s are run: whole control periods "
+            f"of {period:g} s"
+        )
+    if burn_in >= end:
+        raise ScenarioError(
+            f"consistency.burn_in is {burn_in:g} s, which leaves nothing of a run of {end:g} s; "
+            "shorten it or raise simulation.duration"
+        )
+    for dt in {round(i.end - i.start, 12) for i in instants}:
+        whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
+    disturbance = resolution.disturbance(scenario.process_noise, truth, space, duration, notices)
+    resolution.note_defaults(scenario, truth, notices)
+    plant = controllers.Plant(truth, space, x0, u0, section.frame_skip)
+    notices += controllers.clamped(scenario.control, plant)
+    setup = Setup(
+        scenario=scenario,
+        plant=plant,
+        filter_model=believed,
+        filter_channels=resolution.believed_channels(believed, channels, belief, duration),
+        channels=tuple(channels),
+        instants=tuple(instants),
+        disturbance=disturbance,
+        filter_disturbance=disturbance.scaled(belief.process_noise_scale),
+        mean=mean,
+        cov=cov,
+        notices=tuple(notices),
+    )
+    for label in scenario.estimators:
+        if label in RESERVED or not re.fullmatch(r"(?!__)\w[\w.+-]*", label):
+            raise ScenarioError(
+                f"estimators: the label '{label}' cannot name a group of results; use letters, "
+                f"digits, '.', '-', '+' or '_', but not {', '.join(sorted(RESERVED))}"
+            )
+        _check_lengths(setup, label, setup.estimator(label))
+        setup.prior(label)
+        setup.delays(label)
+    _check_window(setup)
+    for key, draw in scenario.truth.draw.items():
+        parameters.check_draw(truth, key, draw.relative_std, draw.std)
+    setup.controller([0])
+    return setup
+
+
+def _check_window(setup: Setup) -> None:
+    """Refuse a latency that exact handling could never go back to."""
+    section, timestep = setup.scenario.filter, float(setup.plant.model.opt.timestep)
+    if section.window is None:
+        return
+    exact = any(setup.delays(label).handling == "exact" for label in setup.scenario.estimators)
+    for channel in setup.channels:
+        belief = section.channels.get(channel.name, BelievedChannelSection())
+        late = channel.timing.latency * timestep if belief.latency is None else belief.latency
+        if exact and late > setup.window * timestep + 1e-9:
+            raise ScenarioError(
+                f"filter.window is {section.window:g} s but channel '{channel.name}' is {late:g} s "
+                "late: it would never be fused; raise the window"
+            )
+
+
+def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
+    """Refuse windows that are longer than the run."""
+    end, arrivals = setup.instants[-1].end, sum(bool(i.channels) for i in setup.instants)
+    start = setup.start(label)
+    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
+    if start.method != "prior" and start.window >= end:
+        raise EstimatorError(
+            f"{label}: start.window is {start.window:g} s but the run only {end:g} s; shorten it"
+        )
+    if isinstance(inner, MAP) and inner.window is not None and inner.window > end + 1e-9:
+        raise EstimatorError(
+            f"{label}: window is {inner.window:g} s but the run only {end:g} s; shorten it, or "
+            "leave it out for the whole run"
+        )
+    asked = "window" in setup.settings(label)  # the default may look beyond a short run
+    if isinstance(inner, AdaptiveEKF) and asked and inner.window > arrivals:
+        raise EstimatorError(
+            f"{label}: window is {inner.window} arrivals but the run has {arrivals}; shorten it"
+        )

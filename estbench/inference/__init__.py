@@ -1,0 +1,1 @@
+"""An estimator on readings as they arrive: the event loop, late readings, innovations."""

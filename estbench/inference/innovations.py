@@ -1,0 +1,149 @@
+"""What is recorded of every update: NIS, lag products, and ν and S themselves where asked for."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from estbench.errors import DimensionError, EstimatorError
+from estbench.estimators.protocol import Innovation
+from estbench.inference.lags import Lags
+from estbench.inference.run_subset import RunIndex
+from estbench.shapes import Mask
+from estbench.spaces.manifold import Manifold
+
+
+def readings(spaces: Mapping[str, Manifold]) -> tuple[str, ...]:
+    """Name of each component of the measurement `(m,)`: the channel's, with the coordinate's."""
+    return tuple(
+        channel if space.n == 1 else f"{channel}.{name}"
+        for channel, space in spaces.items()
+        for name in space.names
+    )
+
+
+def check(estimator: str, answer: Any, runs: int, m: int) -> None:
+    """Refuse an answer of `update` that could not be recorded, or would be recorded as nonsense.
+
+    Args:
+        estimator: its name.
+        answer: what `update` returned for `runs` runs of m components.
+        runs: how many.
+        m: components of the joint measurement's tangent.
+
+    Raises:
+        EstimatorError: it is no pair of a belief and an innovation.
+        DimensionError: nis or dof is not `(run,)`, or white or residual `(run, m)`, or cov
+            `(run, m, m)`; these three may be empty, and dof and cov the same for all runs.
+    """
+    pair = isinstance(answer, tuple | list) and len(answer) == 2
+    if not pair or any(not hasattr(answer[1], name) for name in ("nis", "dof", "white")):
+        kinds = ", ".join(type(part).__name__ for part in answer) if pair else type(answer).__name__
+        raise EstimatorError(
+            f"{estimator}: update returned {kinds}; return a pair, the belief and an Innovation"
+        )
+    shapes = {"nis": (runs,), "dof": (runs,), "white": (runs, m), "residual": (runs, m)}
+    for name, expected in (shapes | {"cov": (runs, m, m)}).items():
+        found = np.shape(getattr(answer[1], name, ()))
+        none = name not in ("nis", "dof") and (0 in found or not hasattr(answer[1], name))
+        shared = name in ("dof", "cov") and found in (expected[1:], (1, *expected[1:]))
+        if found != expected and not none and not shared:
+            raise DimensionError(
+                f"{estimator}: update returned an Innovation whose {name} has shape {found}; "
+                f"expected {expected}"
+            )
+
+
+class Innovations:
+    """The innovations of a batch, noted as the event loop fuses readings.
+
+    A late reading makes the loop update again from its instant on: `clear` says of which runs, and
+    what is noted then replaces what was.
+
+    Args:
+        spaces: channel -> the manifold of its readings, in the measurement's order.
+        count: of instants.
+        runs: how many.
+        keep: whether to record ν and S too.
+
+    Attributes:
+        runs: how many.
+    """
+
+    def __init__(self, spaces: Mapping[str, Manifold], count: int, runs: int, keep: bool = False):
+        stops = np.cumsum([0, *(space.n for space in spaces.values())])
+        self._columns = {name: np.arange(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
+        self.runs = runs
+        self._nis, self._dof = np.zeros((count, runs)), np.zeros((count, runs), np.int64)
+        self._lags = Lags(runs, {name: space.n for name, space in spaces.items()})
+        shape = count + 1, runs, stops[-1]
+        self._kept = (np.full(shape, np.nan), np.full((*shape, shape[-1]), np.nan)) if keep else ()
+
+    def clear(self, k: int, rows: RunIndex) -> None:
+        """Forget what some runs had at instant k."""
+        self._nis[k, rows], self._dof[k, rows] = 0.0, 0
+        for kept in self._kept:
+            kept[k + 1, rows] = np.nan
+
+    def put(
+        self,
+        k: int,
+        layer: int,
+        channels: Sequence[str],
+        innovation: Innovation,
+        mask: Mask | None,
+        rows: RunIndex,
+    ) -> None:
+        """Note an update.
+
+        Args:
+            k: the instant at which the readings belong.
+            layer: of the instant's updates; of two readings of one component NIS has the sum, ν and
+                S the last.
+            channels: that were fused.
+            innovation: of some runs.
+            mask: `(run, m)` of those runs, True where a component arrived; None means everywhere.
+            rows: which runs they are.
+        """
+        self._nis[k, rows] += innovation.nis
+        self._dof[k, rows] += innovation.dof
+        fused = np.reshape(innovation.dof, (-1, 1)) > 0
+        if not fused.all():  # a start gathers readings before it fuses any
+            mask = fused if mask is None else mask & fused
+        if np.size(innovation.white):  # an estimator may have none, and no ν and S either
+            m = np.shape(innovation.white)[-1]
+            came = None if mask is None else np.broadcast_to(mask, (len(mask), m))
+            self._lags.put(k, layer, channels, innovation.white, came, rows)
+        if self._kept and np.size(getattr(innovation, "residual", ())):
+            self._keep(k, channels, innovation, mask, rows)
+
+    def _keep(
+        self,
+        k: int,
+        channels: Sequence[str],
+        innovation: Innovation,
+        mask: Mask | None,
+        rows: RunIndex,
+    ) -> None:
+        """Write ν and S where they belong."""
+        residual, cov = (kept[k + 1] for kept in self._kept)
+        runs = np.arange(self.runs)[rows]
+        where = np.concatenate([self._columns[name] for name in channels])
+        came = np.broadcast_to(True if mask is None else mask, (len(runs), len(where)))
+        vector, block = np.ix_(runs, where), np.ix_(runs, where, where)
+        residual[vector] = np.where(came, innovation.residual, residual[vector])
+        both = came[:, :, None] & came[:, None, :]
+        cov[block] = np.where(both, innovation.cov, cov[block])
+
+    def traces(self) -> dict[str, Any]:
+        """What `Traces` says of innovations."""
+        lags, lag_terms = self._lags.sums()
+        residual, cov = self._kept or (None, None)
+        return {
+            "nis": np.where(self._dof > 0, self._nis, np.nan),
+            "dof": self._dof,
+            "lags": lags,
+            "lag_terms": lag_terms,
+            "innovation": residual,
+            "innovation_cov": cov,
+        }

@@ -1,0 +1,129 @@
+"""Lag products of whitened innovations: what a white sequence has none of."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.inference.run_subset import ALL, RunIndex
+from estbench.shapes import Array, Mask
+
+Noted = tuple[Sequence[str], Array, Mask | None]
+"""Channels, white `(run, m)` and mask of one update."""
+
+LAGS = 10
+"""How many lags, in arrivals."""
+
+
+def correlation(sums: Array, terms: NDArray[Any]) -> Array:
+    """Correlation of each lag from 0, `(..., LAGS + 1)`; NaN for a lag without terms.
+
+        ρₗ = (Sₗ/Nₗ) / (S₀/N₀)
+
+    Innovations that are all k times as large have the same; their size is what NIS looks at.
+
+    Args:
+        sums: Sₗ, of the products ν̃ₖ·ν̃ₖ₋ₗ.
+        terms: Nₗ, how many products of two numbers are in each.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums / terms
+        return mean / mean[..., :1]
+
+
+class Lags:
+    """Sums of ν̃ₖ ν̃ₖ₋ₗ, l = 0 ... LAGS, over the arrivals of each component.
+
+    ν̃ = L⁻¹ν with S = L Lᵀ. A component's past is what arrived of it in that run: neither other
+    channels nor the other runs of a batch matter.
+
+    Args:
+        runs: how many.
+        widths: channel -> count of its components.
+    """
+
+    def __init__(self, runs: int, widths: Mapping[str, int]):
+        self._runs, self._widths = runs, dict(widths)
+        self._noted: dict[tuple[int, int], Noted] = {}
+
+    def put(
+        self,
+        instant: int,
+        layer: int,
+        channels: Sequence[str],
+        white: Array,
+        mask: Mask | None = None,
+        rows: RunIndex = ALL,
+    ) -> None:
+        """Note an innovation; a replay of the same instant replaces it.
+
+        Args:
+            instant: at which the reading belongs.
+            layer: of the instant's updates.
+            channels: that it consists of.
+            white: ν̃ `(run, m)`, zero where nothing arrived.
+            mask: `(run, m)`, True where a component arrived; None means everywhere.
+            rows: the runs it is of; what was noted of the others stays.
+        """
+        if not isinstance(rows, slice):
+            before = self._noted.get((instant, layer))
+            white, mask = self._among_others(before, channels, white, mask, rows)
+        self._noted[instant, layer] = (channels, white, mask)
+
+    def _among_others(
+        self,
+        noted: Noted | None,
+        channels: Sequence[str],
+        white: Array,
+        mask: Mask | None,
+        rows: RunIndex,
+    ) -> tuple[Array, Mask]:
+        """The innovation of some runs beside what was noted, of no other channels, in the rest."""
+        whites = np.zeros((self._runs, white.shape[-1]))
+        masks = np.zeros(whites.shape, bool)
+        if noted is not None:
+            before, old, came = noted
+            for name in before:
+                here, there = self._columns(channels, name), self._columns(before, name)
+                whites[:, here] = old[:, there]
+                masks[:, here] = True if came is None else came[:, there]
+        whites[rows], masks[rows] = white, True if mask is None else mask
+        return whites, masks
+
+    def _columns(self, channels: Sequence[str], name: str) -> slice:
+        """Where a channel's components stand among those of some channels."""
+        start = sum(self._widths[c] for c in channels[: channels.index(name)])
+        return slice(start, start + self._widths[name])
+
+    def sums(self) -> tuple[Array, NDArray[np.int64]]:
+        """The sums, and how many products of two numbers are in each, both `(run, LAGS + 1)`."""
+        sums = np.zeros((self._runs, LAGS + 1))
+        terms = np.zeros((self._runs, LAGS + 1), np.int64)
+        for name in self._widths:
+            white, count = self._series(name)
+            for lag in range(min(LAGS + 1, white.shape[-1])):
+                ahead, behind = white[..., lag:], white[..., : white.shape[-1] - lag]
+                sums[:, lag] += (ahead * behind).sum(axis=(-2, -1))
+                terms[:, lag] += np.maximum(count - lag, 0).sum(axis=-1)
+        return sums, terms
+
+    def _series(self, name: str) -> tuple[Array, NDArray[np.int64]]:
+        """A channel's arrivals in order `(run, m, arrival)`, zeros after the last, and how many."""
+        width = self._widths[name]
+        whites, masks = [np.empty((0, self._runs, width))], [np.empty((0, self._runs, width), bool)]
+        for key in sorted(self._noted):
+            channels, white, mask = self._noted[key]
+            if name in channels:
+                part = np.s_[:, self._columns(channels, name)]
+                whites.append(white[part][None])
+                masks.append(
+                    np.ones((1, self._runs, width), bool) if mask is None else mask[part][None]
+                )
+        # Time last: a run's sums are then the same, to the last bit, whatever shares its batch.
+        white = np.ascontiguousarray(np.moveaxis(np.concatenate(whites), 0, -1))
+        came = np.moveaxis(np.concatenate(masks), 0, -1)
+        if not came.all():
+            order = np.argsort(~came, axis=-1, kind="stable")
+            white = np.take_along_axis(np.where(came, white, 0.0), order, axis=-1)
+        return white, came.sum(axis=-1)

@@ -1,0 +1,116 @@
+"""What one estimator did on some runs, and the recorder that compares it with the truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError
+from estbench.estimators.beliefs import Fault
+from estbench.estimators.protocol import Estimator
+from estbench.inference.lags import correlation
+from estbench.shapes import Array
+from estbench.spaces.linalg import quadratic_form
+from estbench.spaces.manifold import Manifold
+
+
+@dataclass(frozen=True, eq=False)
+class Traces:
+    """One estimator over some runs, time-major; index 0 is the prior at t = 0.
+
+    Attributes:
+        truth: x `(K + 1, run, nx)`.
+        mean: x̂ `(K + 1, run, nx)`.
+        error: x ⊖ x̂ `(K + 1, run, n)`.
+        std: sqrt of P's diagonal `(K + 1, run, n)`.
+        nees: `(K + 1, run)`.
+        nis: `(K, run)`, NaN where nothing arrived.
+        dof: `(K, run)`, how many components arrived.
+        lags: sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations ν̃ `(run, LAGS + 1)`.
+        lag_terms: how many products of two numbers are in each `(run, LAGS + 1)`.
+        fault: `Fault` a run.
+        fault_step: index of the instant at which it failed, -1 for none.
+        late: per run, readings that came after the window and were not fused.
+        cpu_time: seconds of one core spent in predict and update, all runs together.
+        cov: P `(K + 1, run, n, n)` when asked for, else None.
+        innovation: ν `(K + 1, run, m)` when asked for, NaN where nothing was fused.
+        innovation_cov: S of the components fused together `(K + 1, run, m, m)`, likewise.
+    """
+
+    truth: Array
+    mean: Array
+    error: Array
+    std: Array
+    nees: Array
+    nis: Array
+    dof: NDArray[np.int64]
+    lags: Array
+    lag_terms: NDArray[np.int64]
+    fault: NDArray[np.uint8]
+    fault_step: NDArray[np.int64]
+    late: NDArray[np.int64]
+    cpu_time: float
+    cov: Array | None = None
+    innovation: Array | None = None
+    innovation_cov: Array | None = None
+
+    @property
+    def lag_one(self) -> Array:
+        """Lag-one correlation of the whitened innovations `(run,)`, NaN without two of them."""
+        return correlation(self.lags, self.lag_terms)[:, 1]
+
+
+class Recorder:
+    """The traces of one estimator as they grow."""
+
+    def __init__(
+        self, estimator: Estimator, space: Manifold, count: int, runs: int, keep_cov: bool
+    ):
+        n = space.n
+        self._estimator, self._space = estimator, space
+        self.truth, self.mean = (np.empty((count + 1, runs, space.nx)) for _ in range(2))
+        self._error, self._std = (np.empty((count + 1, runs, n)) for _ in range(2))
+        self._nees = np.empty((count + 1, runs))
+        self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
+        self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
+
+    def add(self, index: int, x: Array, belief: Any) -> None:
+        """Compare the belief with the true state at the index-th time."""
+        runs, n = self._nees.shape[1], self._space.n
+        m, P = self._estimator.mean(belief), self._estimator.cov(belief)
+        if m.shape != (runs, self._space.nx) or P.shape != (runs, n, n):
+            raise DimensionError(
+                f"{type(self._estimator).__name__}: mean has shape {m.shape} and cov {P.shape}; "
+                f"expected {(runs, self._space.nx)} and {(runs, n, n)}"
+            )
+        self.truth[index], self.mean[index] = x, m
+        self._error[index] = self._space.minus(x, m)
+        variance = np.diagonal(P, axis1=-2, axis2=-1)
+        self._std[index] = np.sqrt(np.where(variance > 0, variance, np.nan))
+        self._nees[index] = quadratic_form(P, self._error[index])
+        if self._cov is not None:
+            self._cov[index] = P
+        broken = ~np.isfinite(self._nees[index])
+        if broken.any():
+            self._mark(index, broken, x, m, P, getattr(belief, "fault", None))
+
+    def _mark(
+        self, index: int, broken: Array, x: Array, m: Array, P: Array, reason: Array | None
+    ) -> None:
+        """Note when and why each broken run failed first."""
+        new = broken & (self._fault == Fault.NONE)
+        finite = np.isfinite(P).all(axis=(-2, -1)) & np.isfinite(m).all(axis=-1)
+        code = np.where(finite, Fault.COVARIANCE, Fault.STATE)
+        if reason is not None:
+            code = np.where(reason > 0, reason, code)
+        code = np.where(np.isfinite(x).all(axis=-1), code, Fault.TRUTH)
+        self._fault[new], self._fault_step[new] = code[new], index
+
+    def traces(self, fused: Mapping[str, Any]) -> Traces:
+        """What was recorded, with what the event loop counted."""
+        return Traces(
+            truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
+            fault=self._fault, fault_step=self._fault_step, cov=self._cov, **fused,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Many runs: their batches, the workers that compute them, and the results."""

@@ -1,0 +1,119 @@
+"""One batch of runs: its size, the truth, every estimator on it, and what is kept of them."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estbench.consistency import records
+from estbench.errors import EstbenchError, EstimatorError, user_error_location
+from estbench.experiment import setup
+from estbench.inference.event_loop import Live, Recorded, run_filter
+from estbench.inference.innovations import readings
+from estbench.inference.traces import Traces
+from estbench.randomness import streams
+from estbench.simulation.truth import Trajectory, simulate
+
+BATCH_BYTES = 64 * 2**20
+"""Memory that the traces of one batch may take."""
+TRACES_BYTES = 2**30
+"""Traces of a whole experiment above which they are stored only when asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What one batch of runs gave: the true states and a record an estimator."""
+
+    truth: records.Record
+    records: dict[str, records.Record]
+
+
+def trace_bytes(prepared: setup.Setup, dtype: str = "float64") -> int:
+    """What `diagonal` stores beyond `summary`, for all runs and estimators."""
+    space, count = prepared.space, len(prepared.scenario.estimators)
+    live = prepared.scenario.control.observe == "estimate"
+    numbers = count * (space.nx + 2 * space.n + 2) + space.nx * (count if live else 1)
+    a_step = numbers * np.dtype(dtype).itemsize + 8 * count  # dof is a whole number of 8 bytes
+    return a_step * len(prepared.times) * prepared.scenario.simulation.runs
+
+
+def default_keep(prepared: setup.Setup, dtype: str = "float64") -> str:
+    """`diagonal` while the traces take at most `TRACES_BYTES`, else `summary`."""
+    return "diagonal" if trace_bytes(prepared, dtype) <= TRACES_BYTES else "summary"
+
+
+def default_batch_size(prepared: setup.Setup, keep: str) -> int:
+    """Runs a batch: what fits `BATCH_BYTES`, at most 250 (caches), else a quarter of the runs.
+
+    It does not depend on the machine, so neither do the results, to the last bit.
+    """
+    runs = prepared.scenario.simulation.runs
+    most = BATCH_BYTES // run_bytes(prepared, keep)
+    return int(np.clip(most, 1, min(250, max(10, -(-runs // 4)))))
+
+
+def run_bytes(prepared: setup.Setup, keep: str) -> int:
+    """Memory of the traces of one run."""
+    space, m = prepared.space, len(readings(prepared.channel_spaces))
+    a_step = 2 * space.nx + 3 * space.n + 4
+    if keep == "full":
+        a_step += space.n**2 + m + m**2
+    return 8 * a_step * len(prepared.times) * max(1, len(prepared.scenario.estimators))
+
+
+def run_batch(
+    prepared: setup.Setup, runs: Sequence[int], keep: str, stop: Callable[[], bool] = lambda: False
+) -> Batch | None:
+    """Simulate some runs and every estimator on them; None when stopped."""
+    out = {}
+    truth: records.Record = {}
+    full = keep == "full"
+    for label, traces in traced(prepared, runs, full, full, stop):
+        if traces is None:
+            return None
+        section = prepared.scenario.consistency
+        out[label] = records.reduce(traces, prepared.times, section, keep)
+        if keep != "summary":
+            x = {"x": np.swapaxes(traces.truth, 0, 1)}
+            if prepared.scenario.control.observe == "estimate":
+                out[label] |= x
+            else:
+                truth = x
+    return Batch(truth, out)
+
+
+def traced(
+    prepared: setup.Setup,
+    runs: Sequence[int],
+    keep_cov: bool = False,
+    keep_innovations: bool = False,
+    stop: Callable[[], bool] = lambda: False,
+) -> Iterator[tuple[str, Traces | None]]:
+    """The traces of each estimator on some runs, one after the other; None ends it: stopped."""
+    period = prepared.plant.period
+    live = prepared.scenario.control.observe == "estimate"
+    trajectory: Trajectory | None = None
+    if not live:
+        trajectory = simulate(prepared.simulator(runs), prepared.controller(runs), period)
+    for label in prepared.scenario.estimators:
+        source = (
+            Recorded(prepared.instants, trajectory)
+            if trajectory is not None
+            else Live(prepared.simulator(runs), prepared.controller(runs), period)
+        )
+        mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
+        keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
+        estimator = prepared.estimator(label)
+        try:
+            traces = run_filter(
+                estimator, prepared.space, (mean, cov), source, prepared.channel_spaces,
+                delays=prepared.delays(label), keys=keys, keep_cov=keep_cov,
+                keep_innovations=keep_innovations, stop=stop,
+            )  # fmt: skip
+        except (EstbenchError, MemoryError):
+            raise
+        except Exception as error:  # a user's estimator may raise anything
+            raise EstimatorError(f"{label} raised {user_error_location(error)}") from error
+        yield label, traces
+        if traces is None:
+            return

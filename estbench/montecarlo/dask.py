@@ -1,0 +1,69 @@
+"""The workers of a dask.distributed cluster, as `concurrent.futures` knows them."""
+
+import asyncio
+from concurrent.futures import Executor
+
+from estbench.errors import ExecutorError, MissingExtraError
+from estbench.montecarlo.executors import Pool
+
+TIMEOUT = 10.0
+"""Seconds in which a scheduler must answer, and have a worker."""
+
+
+def pool(address: str | None) -> Pool:
+    """The workers of the cluster at an address.
+
+    Raises:
+        ExecutorError: no address, or nobody answers there in time.
+        MissingExtraError: dask.distributed is not installed.
+    """
+    if not address:
+        raise ExecutorError(
+            "executor dask needs the scheduler's address, e.g. tcp://127.0.0.1:8786"
+        )
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtraError("dask.distributed", "dask") from None
+    client = None
+    try:
+        asyncio.run(_knock(address))
+        client = Client(address, timeout=TIMEOUT, set_as_default=False)
+        client.wait_for_workers(1, timeout=TIMEOUT)
+    except (OSError, TimeoutError, ValueError) as error:
+        what = "scheduler answers" if client is None else "worker is known to the scheduler"
+        if client is not None:
+            client.close()
+        raise ExecutorError(
+            f"no dask {what} at {address} within {TIMEOUT:g} s "
+            f"({type(error).__name__}); start one or check --address"
+        ) from None
+    workers = max(1, sum(client.nthreads().values()))
+
+    def lost() -> bool:
+        return client.status in ("closing", "closed")
+
+    def close(executor: Executor) -> None:
+        if not lost():
+            executor.shutdown(wait=False)
+        client.close()
+
+    return Pool(
+        lambda: client.get_executor(retries=2),
+        workers,
+        close,
+        2 * workers,
+        lost=lost,
+    )
+
+
+async def _knock(address: str) -> None:
+    """Ask the scheduler who it is: a `Client` would wait for ever for one that accepts and is mute.
+
+    Raises:
+        OSError, TimeoutError, ValueError: it does not answer in `TIMEOUT`.
+    """
+    from distributed.core import rpc
+
+    async with rpc(address, timeout=TIMEOUT) as scheduler:
+        await asyncio.wait_for(scheduler.identity(), TIMEOUT)

@@ -1,0 +1,263 @@
+"""Monte Carlo: many runs in batches on workers, interruptible, every finished run kept."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal
+
+from estbench.consistency import records
+from estbench.consistency import summary as statistics
+from estbench.errors import ExecutorError, Interrupted, StoreError
+from estbench.experiment import setup
+from estbench.montecarlo import batch as one
+from estbench.montecarlo import dispatch, executors
+from estbench.montecarlo.batch import default_batch_size, run_batch, traced
+from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo.results import Results
+from estbench.scenario.load import Chosen, Scenario, resolve
+from estbench.store import zarr as store
+
+__all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
+
+Say = Callable[[str], None]
+"""Called with a line that is better read before the runs are computed than after."""
+
+
+def run(
+    scenario: str | Path | Scenario,
+    estimators: Chosen | None = None,
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    duration: float | None = None,
+    overrides: Sequence[str] = (),
+    out: str | Path | None = None,
+    keep: Literal["auto", "summary", "diagonal", "full"] = "auto",
+    dtype: Literal["float64", "float32"] | None = None,
+    resume: bool = False,
+    shard: tuple[int, int] | None = None,
+    executor: Literal["auto", "threads", "processes", "dask"] = "threads",
+    address: str | None = None,
+    workers: int | None = None,
+    batch_size: int | None = None,
+    progress: Progress | None = None,
+    say: Say | None = None,
+) -> Results:
+    """Simulate, observe, estimate, compare.
+
+    Args:
+        scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
+        estimators: labels, names or classes to run in place of the scenario's; one needs no list.
+        runs: Monte Carlo runs, in place of the scenario's.
+        seed: in place of the scenario's.
+        duration: s, in place of the scenario's.
+        overrides: `section.key=value` strings.
+        out: folder to write the results to; None writes nothing.
+        keep: what the store keeps of every run; `auto` is `diagonal` while the traces of all runs
+            take at most 1 GiB (`batches.TRACES_BYTES`), else `summary`, which is said.
+        dtype: of the stored traces; default `float64`, or that of the store to go on with.
+        resume: go on with `out` if it exists: only what is missing is computed.
+        shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
+        executor: `threads`, `processes` (spawned, so that a script needs its
+            `if __name__ == "__main__":`), `auto` (processes for long work on many CPUs), or `dask`.
+        address: of the dask scheduler.
+        workers: threads or processes; default the CPUs this process may use, as far as the memory
+            goes.
+        batch_size: runs a batch; default by memory. It does not change the results.
+        progress: called after every batch.
+        say: called with a notice of a store that was begun under other versions.
+
+    Returns:
+        The results; `print` shows the tables. After Ctrl-C those of the finished runs.
+
+    Raises:
+        EstbenchError: anything wrong with the input, before anything is written.
+    """
+    stored = dtype or "float64"
+    _check(out, keep, stored, resume, shard, executor, address, workers, batch_size)
+    resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
+    prepared = setup.build(resolved)
+    level, notices = _level(prepared, keep, stored, out is not None)
+    size = batch_size or default_batch_size(prepared, level)
+    using = _pool(prepared, executor, address, workers, size * one.run_bytes(prepared, level))
+    if out is None:
+        count = resolved.simulation.runs
+        batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
+        done, failed, interrupted = dispatch.compute(
+            prepared, dict(enumerate(batches)), level, using, None, {}, progress
+        )
+        return _collect(prepared, batches, done, failed, None, interrupted)
+    target = _open(Path(out), prepared, level, size, stored, resume, shard)
+    for name, was, value in (("keep", target.keep, keep), ("dtype", target.dtype, dtype)):
+        if value not in ("auto", None, was):
+            raise StoreError(
+                f"{out} is of another experiment: {name} was {was!r} and is {value!r}; "
+                "choose another --out"
+            )
+    with target.lock(shard):
+        done, corrupted = _finished(target)
+        indices = range(len(target.batches)) if shard is None else _share(target, shard)
+        wanted = {i: target.batches[i] for i in indices if i not in done}
+        mixed = target.sign(writing=bool(wanted))
+        if mixed and wanted and say is not None:
+            say(mixed)
+        try:
+            done, failed, interrupted = dispatch.compute(
+                prepared, wanted, target.keep, using, target, done, progress
+            )
+            if interrupted:  # a worker may have written what it had no time to report
+                done = {**_finished(target)[0], **done}
+        finally:
+            if not done and shard is None:
+                target.discard()
+        if done:
+            target.close()
+    again = [i for i in corrupted if i in wanted]
+    return _collect(
+        prepared, target.batches, done, failed, target, interrupted,
+        [
+            *(notices if target.keep == level else ()),
+            *([mixed] if mixed else ()),
+            *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
+        ],
+    )  # fmt: skip
+
+
+def _check(
+    out: str | Path | None,
+    keep: str,
+    dtype: str,
+    resume: bool,
+    shard: tuple[int, int] | None,
+    executor: str,
+    address: str | None,
+    workers: int | None,
+    batch_size: int | None,
+) -> None:
+    """Refuse arguments that are wrong by themselves, or that exclude each other."""
+    if shard is not None and not 1 <= shard[0] <= shard[1]:
+        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+    for name, value in (("batch_size", batch_size), ("workers", workers)):
+        if value is not None and value < 1:
+            raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
+    for name, value, known in (
+        ("keep", keep, ("auto", "summary", "diagonal", "full")),
+        ("dtype", dtype, ("float64", "float32")),
+    ):
+        if value not in known:
+            raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
+    for name, given in (("resume", resume), ("shard", shard is not None)):
+        if given and out is None:
+            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
+    if address is not None and executor != "dask":
+        raise ExecutorError(
+            f"address is {address!r}, that of a dask scheduler, but executor is {executor!r}; add "
+            "--executor dask, or leave the address out"
+        )
+
+
+def _level(
+    prepared: setup.Setup, keep: str, dtype: str, stored: bool
+) -> tuple[str, tuple[str, ...]]:
+    """What to keep of every run, and what to say of it."""
+    if keep != "auto":
+        return keep, ()
+    level = one.default_keep(prepared, dtype)
+    if level == "diagonal" or not stored:
+        return level, ()
+    size, most = (x / 2**30 for x in (one.trace_bytes(prepared, dtype), one.TRACES_BYTES))
+    return level, (
+        f"the traces of all runs would take {size:.3g} GiB, more than {most:.3g}: only averages "
+        "are stored; --keep diagonal stores the traces too",
+    )
+
+
+def _pool(
+    prepared: setup.Setup, kind: str, address: str | None, workers: int | None, size: int
+) -> executors.Pool:
+    """The workers, as many as fit."""
+    if kind == "auto":
+        scenario = prepared.scenario
+        steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
+        kind = executors.choose(steps, workers or executors.cpu_count())
+    return executors.pool(kind, workers or executors.fitting(kind, size), address)
+
+
+def _open(
+    folder: Path,
+    prepared: setup.Setup,
+    keep: str,
+    size: int,
+    dtype: str,
+    resume: bool,
+    shard: tuple[int, int] | None,
+) -> store.Store:
+    """A new store, or the one to go on with; of several shards the first comer makes it."""
+    if (resume or shard is not None) and folder.exists():
+        return store.Store.reopen(folder, prepared)
+    try:
+        return store.Store.create(folder, prepared, keep, size, dtype)
+    except StoreError:
+        if shard is None or not folder.exists():
+            raise
+        return store.Store.reopen(folder, prepared)
+
+
+def _share(target: store.Store, shard: tuple[int, int]) -> range:
+    return range(shard[0] - 1, len(target.batches), shard[1])
+
+
+def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]], list[int]]:
+    """Summary records of the batches that are done, and the batches found corrupted."""
+    done, corrupted = {}, []
+    for index in range(len(target.batches)):
+        if target.finished(index):
+            found = target.read(index)
+            if found is None:
+                corrupted.append(index)
+            else:
+                done[index] = found
+    return done, corrupted
+
+
+def _collect(
+    prepared: setup.Setup,
+    batches: Sequence[range],
+    done: dict[int, dict[str, records.Record]],
+    failed: dict[int, Exception],
+    target: store.Store | None,
+    interrupted: bool,
+    notices: Sequence[str] = (),
+) -> Results:
+    """The results of the batches that are done."""
+    if not done and failed:
+        raise next(iter(failed.values()))
+    if not done:
+        raise Interrupted("interrupted before the first batch was finished: there is no result")
+    order = sorted(done)
+    runs = [run for i in order for run in batches[i]]
+    merged = {
+        label: records.merge([done[i][label] for i in order])
+        for label in prepared.scenario.estimators
+    }
+    section = prepared.scenario.consistency
+    return Results(
+        scenario=prepared.scenario,
+        names=prepared.space.names,
+        units=prepared.space.units,
+        times=prepared.times,
+        steps=sum(instant.control for instant in prepared.instants),
+        runs=tuple(runs),
+        summaries=tuple(
+            statistics.summarize(label, record, runs, prepared.times, section)
+            for label, record in merged.items()
+        ),
+        records=merged,
+        notices=(
+            *prepared.notices,
+            *notices,
+            *dispatch.missing(batches, failed),
+        ),
+        folder=target.folder if target is not None else None,
+        interrupted=interrupted,
+        failed=len(failed),
+    )

@@ -1,0 +1,70 @@
+"""Random numbers that depend on a run's key and counter only, never on how runs are batched.
+
+A generator with a state would tie run i's numbers to the runs drawn before it. Here every number is
+a hash of (key of the run, counter of the call, purpose, index), all rows at once in `uint64`.
+
+Source: the output function of SplitMix64 (Steele, Lea & Flood 2014), used as a
+counter-based generator in the sense of Salmon et al. 2011, "Parallel random numbers: as easy as 1,
+2, 3": the stream of (key, counter, purpose) starts at a hash of the three.
+"""
+
+import numpy as np
+from scipy.special import ndtri
+
+from estbench.shapes import Array, Keys
+from estbench.spaces.linalg import cholesky, symmetrize
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+
+
+def default_keys(runs: int) -> Keys:
+    """The keys 0, 1, ... `(run,)`."""
+    return np.arange(runs, dtype=np.uint64)
+
+
+def bits(keys: Keys, counter: Keys, purpose: int, count: int) -> Keys:
+    """Random 64-bit words `(run, count)` for keys `(run,)` and counters `(run,)`."""
+    start = _mix(np.atleast_1d(np.asarray(keys, np.uint64)) + _STEP)
+    start = _mix(start + np.asarray(counter, np.uint64) * _STEP)
+    start = _mix(start + np.full(1, purpose + 1, np.uint64) * _STEP)
+    return _mix(start[:, None] + np.arange(1, count + 1, dtype=np.uint64) * _STEP)
+
+
+def uniform(keys: Keys, counter: Keys, purpose: int, *shape: int) -> Array:
+    """Uniforms in the open interval (0, 1), `(run, *shape)`, of 52 random bits each."""
+    words = bits(keys, counter, purpose, int(np.prod(shape)))
+    numbers = (words >> np.uint64(12)).astype(np.float64)
+    return (numbers + 0.5).reshape(-1, *shape) * 2.0**-52
+
+
+def normal(keys: Keys, counter: Keys, purpose: int, *shape: int) -> Array:
+    """Standard normals `(run, *shape)`, by inversion of the distribution function."""
+    return ndtri(uniform(keys, counter, purpose, *shape))
+
+
+def gaussian(keys: Keys, counter: Keys, purpose: int, cov: Array, count: int) -> Array:
+    """Samples `(run, count, n)` of N(0, P) for P `(n, n)` or `(run, n, n)`, perhaps singular."""
+    factor = square_root(cov if cov.ndim == 3 else cov[None])
+    return normal(keys, counter, purpose, count, cov.shape[-1]) @ factor.mT
+
+
+def square_root(cov: Array) -> Array:
+    """S `(run, n, n)` with S Sᵀ = P: Cholesky, or by eigenvalues where P is singular.
+
+    NaN where P has an eigenvalue below -1e-9 of its largest.
+    """
+    out = cholesky(cov)
+    failed = ~np.isfinite(out[:, 0, 0]) & np.isfinite(cov).all(axis=(-2, -1))
+    if failed.any():
+        values, vectors = np.linalg.eigh(symmetrize(cov[failed]))
+        semidefinite = values[:, :1] >= -1e-9 * np.abs(values).max(axis=-1, keepdims=True)
+        root = np.where(semidefinite, np.sqrt(np.clip(values, 0.0, None)), np.nan)
+        out[failed] = vectors * root[:, None, :]
+    return out
+
+
+def _mix(z: Keys) -> Keys:
+    """The finalizer of SplitMix64: a bijection of 64-bit words that scrambles every bit."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

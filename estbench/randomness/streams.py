@@ -1,0 +1,50 @@
+"""Random streams: one for each run and purpose, so that run i is the same however runs are batched.
+
+A purpose is a word ("initial", "process", "sensor:gyro", ...). Adding a sensor, an estimator or a
+worker changes no other stream: comparisons use common random numbers.
+"""
+
+import zlib
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.randomness import seeding
+from estbench.shapes import Array
+
+
+def streams(seed: int, runs: Sequence[int], purpose: str) -> Iterator[np.random.Generator]:
+    """Each run's generator for a purpose: `SFC64(SeedSequence(seed, spawn_key=(run, word)))`.
+
+    The word is the purpose's CRC-32.
+    """
+    for words in seeding.words(seed, runs, zlib.crc32(purpose.encode()), 3):
+        # numpy's stubs leave ISeedSequence out.
+        bits = np.random.SFC64(seeding.Seed(words))  # pyright: ignore[reportArgumentType]
+        yield np.random.Generator(bits)
+
+
+def normals(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
+    """Standard normals `(steps, run, width)`, time-major; run i's come from its own stream.
+
+    The first steps do not depend on how many follow.
+    """
+    out = np.empty((steps, len(runs), width))
+    if out.size:
+        for row, own in enumerate(streams(seed, runs, purpose)):
+            out[:, row] = own.standard_normal((steps, width))
+    return out
+
+
+def uniforms(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
+    """As `normals`, uniform on [0, 1)."""
+    out = np.empty((steps, len(runs), width))
+    for row, own in enumerate(streams(seed, runs, purpose)):
+        out[:, row] = own.random((steps, width))
+    return out
+
+
+def run_keys(seed: int, runs: Sequence[int], purpose: str) -> NDArray[np.uint64]:
+    """A 64-bit key a run `(run,)`, for estimators that draw random numbers of their own."""
+    return seeding.words(seed, runs, zlib.crc32(purpose.encode()), 1)[:, 0]

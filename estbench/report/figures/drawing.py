@@ -1,0 +1,129 @@
+"""A figure of the page as plain data, and the pieces that all figures are made of.
+
+Each trace's `meta` says whose it is, so that the page can choose: `entry` (drawn while that entry
+is chosen; always without it or with `always`), `band` (drawn once for all entries with the same
+band), and `bind`: the row of the chosen run's data that is its y.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from estbench.consistency.coverage import Coverage
+from estbench.errors import MissingExtraError
+from estbench.report.figures import data, innovations, palette
+from estbench.report.figures.data import Rmse, Steps
+from estbench.report.figures.innovations import Correlation
+from estbench.report.figures.traces import TraceStatistics
+from estbench.report.sources import Entry
+from estbench.shapes import Array
+
+try:
+    import plotly.graph_objects as go
+except ImportError:
+    raise MissingExtraError("plotly", "report") from None
+
+BAND = palette.rgba(palette.GREY, 0.22)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """One figure of the page.
+
+    Attributes:
+        name: its id on the page.
+        title: what it shows.
+        traces: plotly traces as plain data.
+        layout: plotly layout as plain data.
+        height: pixels.
+        time: whether the x axis is time, shared with the others.
+        coordinate: index of the coordinate it is about, or None.
+        trim: whether the first instants may be cut off at the top and bottom.
+    """
+
+    name: str
+    title: str
+    traces: list[dict[str, Any]]
+    layout: dict[str, Any]
+    height: int
+    time: bool = False
+    coordinate: int | None = None
+    trim: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What is drawn: entries, and their statistics in the same order."""
+
+    entries: Sequence[Entry]
+    traces: Sequence[TraceStatistics | None]
+    nees: list[Steps] = field(default_factory=list)
+    nis: list[Steps] = field(default_factory=list)
+    rmse: list[Rmse] = field(default_factory=list)
+    coverage: list[tuple[Coverage, ...] | None] = field(default_factory=list)
+    white: list[Correlation | None] = field(default_factory=list)
+    channels: list[dict[str, Correlation]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for entry, traces in zip(self.entries, self.traces):
+            self.nees.append(data.nees_steps(entry))
+            self.nis.append(data.nis_steps(entry))
+            self.rmse.append(data.rmse_steps(entry, traces.fourth if traces else None))
+            self.coverage.append(data.coverage(entry))
+            self.white.append(innovations.whole(entry))
+            self.channels.append(innovations.by_channel(entry))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coordinates, the same for all entries."""
+        return self.entries[0].source.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return self.entries[0].source.units
+
+
+def line(index: int, x: Any, y: Any, name: str, **more: Any) -> go.Scatter:
+    """A curve in the colour and dash of an entry."""
+    look = {"color": palette.colour(index), "width": 1.6, "dash": palette.dash(index)}
+    return go.Scatter(
+        x=x, y=y, mode="lines", name=name, line=look | more.pop("line", {}), showlegend=False,
+        **more,
+    )  # fmt: skip
+
+
+def area(x: Any, low: Any, high: Any, fill: str, meta: dict[str, Any]) -> list[go.Scatter]:
+    """Two lines without width and the area between them."""
+    common: dict[str, Any] = {
+        "x": x, "mode": "lines", "line": {"width": 0, "color": fill}, "hoverinfo": "skip",
+        "showlegend": False, "connectgaps": False,
+    }  # fmt: skip
+    return [
+        go.Scatter(y=low, meta=meta | {"side": "low"}, **common),
+        go.Scatter(y=high, fill="tonexty", fillcolor=fill, meta=meta | {"side": "high"}, **common),
+    ]
+
+
+def drawing(
+    name: str, title: str, traces: Sequence[Any], layout: dict[str, Any], height: int, **more: Any
+) -> Drawing:
+    """A figure of plotly as plain data, without the default template."""
+    plain = go.Figure(data=list(traces), layout=layout).to_dict()
+    plain["layout"].pop("template", None)
+    return Drawing(name, title, plain["data"], plain["layout"], height, **more)
+
+
+def axes(x: str, y: str, **more: Any) -> dict[str, dict[str, Any]]:
+    """A layout with titles; the rest belongs to the y axis."""
+    title = {"x": {"text": x, "standoff": 4}, "y": {"text": y, "standoff": 4}}
+    return {"xaxis": {"title": title["x"]}, "yaxis": {"title": title["y"]} | more}
+
+
+def span(curves: Sequence[Array]) -> dict[str, Any]:
+    """A logarithmic y axis where the curves span more than a factor of 8."""
+    values = np.concatenate([c[np.isfinite(c) & (c > 0)] for c in curves])
+    wide = len(values) and values.max() > 8 * np.percentile(values, 5)
+    return {"type": "log"} if wide else {}

@@ -1,0 +1,232 @@
+"""Statistics that need the traces of every run, read batch by batch so that any store fits."""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import stats
+
+from estbench.consistency.nees import chi_square_band
+from estbench.montecarlo.executors import cpu_count
+from estbench.report.figures.data import thin
+from estbench.report.sources import Entry
+from estbench.shapes import Array
+
+LAGS = 40
+ERROR_EDGES = np.linspace(-5.0, 5.0, 81)
+"""Bins of error/σ."""
+NEES_BINS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class TraceStatistics:
+    """What only the traces can say of one estimator; over the runs that did not diverge.
+
+    Attributes:
+        errors: density of error/σ in the bins `ERROR_EDGES` `(n, bins)`.
+        beyond: share of error/σ outside these bins `(n,)`.
+        nees_edges, nees: bins of NEES and the density in them.
+        outside: share of single values of NEES and NIS outside the band of one run.
+        correlation: of NIS with itself, by lag in instants `(LAGS + 1,)`; NaN where never paired.
+        correlation_band: half-width of the band of each lag for independent innovations.
+        fourth: sum over runs of the fourth power of the error `(K + 1, n)`.
+        left: when each diverged run went above the threshold for good, s, by run number; NaN where
+            it failed without.
+    """
+
+    errors: Array
+    beyond: Array
+    nees_edges: Array
+    nees: Array
+    outside: tuple[float, float]
+    correlation: Array
+    correlation_band: Array
+    fourth: Array
+    left: dict[int, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The sums of one batch."""
+
+    errors: Array
+    total: int
+    nees: Array
+    out: Array
+    products: Array
+    pairs: Array
+    fourth: Array
+    left: dict[int, float]
+
+
+def statistics(entry: Entry) -> TraceStatistics | None:
+    """The statistics of an entry's traces, or None if the store kept none."""
+    if not entry.source.has_traces:
+        return None
+    source, n = entry.source, entry.source.n
+    edges = np.linspace(0.0, float(stats.chi2.ppf(0.9999, n)), NEES_BINS + 1)
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        parts = list(
+            pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), _pieces(entry))
+        )
+    total = sum(p.total for p in parts)
+    errors, nees, out, products, pairs, fourth = (
+        np.sum([getattr(p, name) for p in parts], axis=0)
+        for name in ("errors", "nees", "out", "products", "pairs", "fourth")
+    )
+    left: dict[int, float] = {}
+    for part in parts:
+        left |= part.left
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(pairs > 0, products / pairs, np.nan)
+        z = float(stats.norm.ppf(0.5 + source.level / 2))
+        return TraceStatistics(
+            errors=errors / (total * np.diff(ERROR_EDGES)),
+            beyond=1 - errors.sum(axis=1) / total,
+            nees_edges=edges,
+            nees=nees / (total * np.diff(edges)),
+            outside=(float(out[0] / out[1]), float(out[2] / out[3]) if out[3] else np.nan),
+            correlation=mean / mean[0],
+            correlation_band=z / np.sqrt(pairs),
+            fourth=fourth,
+            left=left,
+        )
+
+
+def _pieces(entry: Entry) -> Iterator[tuple[slice, slice]]:
+    """Each finished batch as positions in the store and positions in the record."""
+    start = 0
+    for where in entry.source.batches:
+        stop = start + where.stop - where.start
+        yield where, slice(start, stop)
+        start = stop
+
+
+def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
+    source, n = entry.source, entry.source.n
+    group = entry.group.isel(run=where)
+    good = entry.good[rows]
+    nees = _double(group, "nees")
+    left = _left(entry, nees[~good], source.runs[rows][~good])
+    nees = nees[good]
+    error, std = _double(group, "error")[good], _double(group, "std")[good]
+    settled = source.settled
+    ratio = error[:, settled] / std[:, settled]
+    errors = np.stack([_histogram(ratio[..., i], ERROR_EDGES) for i in range(n)])
+    nis, dof = _double(group, "nis")[good], group["dof"].values[good]
+    out = np.concatenate(
+        [
+            _outside(nees[:, settled], np.full(1, n), source.level),
+            _outside(nis[:, settled], dof[:, settled], source.level),
+        ]
+    )
+    products, pairs = _products(nis[:, settled], dof[:, settled])
+    return _Part(
+        errors, ratio[..., 0].size, _histogram(nees[:, settled], edges),
+        out, products, pairs, (error**4).sum(axis=0), left,
+    )  # fmt: skip
+
+
+def _histogram(values: Array, edges: Array) -> Array:
+    """Counts in bins of one width: numpy is much faster if it knows that they are."""
+    return np.histogram(values, len(edges) - 1, (edges[0], edges[-1]))[0]
+
+
+def _double(group: xr.Dataset, name: str) -> Array:
+    """A trace in double precision; a store may keep less."""
+    return group[name].values.astype(np.float64)
+
+
+def _outside(values: Array, dof: NDArray, level: float) -> Array:
+    """How many values lie outside the chi-square band of one, and of how many."""
+    sizes = np.unique(dof[dof > 0])
+    low, high = np.zeros(int(dof.max(initial=0)) + 1), np.zeros(int(dof.max(initial=0)) + 1)
+    for m in sizes:
+        low[m], high[m] = chi_square_band(float(m), 1, level)
+    used = np.broadcast_to(dof > 0, values.shape)
+    with np.errstate(invalid="ignore"):
+        out = used & ((values < low[dof]) | (values > high[dof]))
+    return np.array([out.sum(), used.sum()], float)
+
+
+def _products(nis: Array, dof: NDArray) -> tuple[Array, Array]:
+    """Sums over runs and instants of z(k) z(k + lag), and how many; z = (NIS - m)/sqrt(2 m).
+
+    NIS of a consistent filter is independent from one update to the next, of mean m and variance
+    2 m. Lags count instants; products exist where something arrived at both.
+    """
+    used = dof > 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(used, (nis - dof) / np.sqrt(2.0 * dof), 0.0)
+    z = np.where(np.isfinite(z), z, 0.0)
+    return _lagged(z), np.rint(_lagged(used.astype(float)))
+
+
+def _lagged(values: Array) -> Array:
+    """Sums over rows and columns k of v(k) v(k + lag), by the power spectrum `(LAGS + 1,)`."""
+    steps = values.shape[1]
+    size = 1 << (2 * steps - 1).bit_length()  # zeros enough that the ends do not meet
+    power = (np.abs(np.fft.rfft(values, size, axis=1)) ** 2).sum(axis=0)
+    out = np.zeros(LAGS + 1)
+    lags = min(LAGS + 1, steps)
+    out[:lags] = np.fft.irfft(power, size)[:lags]
+    return out
+
+
+def _left(entry: Entry, nees: Array, runs: NDArray[np.int64]) -> dict[int, float]:
+    """Start of the stretch above the threshold by which each diverged run is one, s."""
+    section, times = entry.source.scenario.consistency, entry.source.times
+    window = max(1, min(round(section.divergence_duration / np.diff(times).mean()), len(times)))
+    found = {}
+    for run, row in zip(runs, nees):
+        with np.errstate(invalid="ignore"):
+            above = row / entry.source.n > section.divergence_threshold
+        total = np.concatenate([[0], above.cumsum()])
+        full = np.flatnonzero(total[window:] - total[:-window] == window)
+        found[int(run)] = float(times[full[0]]) if len(full) else np.nan
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class RunTrace:
+    """One run of one estimator, thinned for drawing.
+
+    Attributes:
+        time: `(k,)` s.
+        error, std: `(n, k)`, in the coordinates' units.
+        nees: NEES/n `(k,)`.
+    """
+
+    time: Array
+    error: Array
+    std: Array
+    nees: Array
+
+
+def run_trace(entry: Entry, run: int, points: int) -> RunTrace | None:
+    """The trace of a run, or None if the store has none of it.
+
+    Thinned so that each stretch keeps the instants where some |error|/σ is greatest.
+    """
+    place = entry.position(run)
+    if place is None or not entry.source.has_traces:
+        return None
+    group = entry.group.isel(run=place)
+    error, std, nees = (group[name].values for name in ("error", "std", "nees"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        worst = np.nanmax(np.where(np.isfinite(error / std), np.abs(error / std), -1.0), axis=1)
+    keep = thin(worst, points)
+    return RunTrace(
+        entry.source.times[keep], error[keep].T, std[keep].T, nees[keep] / entry.source.n
+    )
+
+
+def run_points(entries: Sequence[Entry], budget: int = 400_000) -> tuple[int, int]:
+    """How many runs and instants a page can hold: `runs x entries x 2 n x instants <= budget`."""
+    width = sum(2 * entry.source.n + 2 for entry in entries)
+    steps = min(500, max(len(entry.source.times) for entry in entries))
+    runs = int(np.clip(budget // (width * steps), 4, 16))
+    return runs, int(np.clip(budget // (width * runs), 100, steps))

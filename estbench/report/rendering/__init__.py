@@ -1,0 +1,1 @@
+"""The robot as picture, video and live view."""

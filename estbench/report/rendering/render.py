@@ -1,0 +1,227 @@
+"""Pixels without a display: MuJoCo by OSMesa or EGL, whichever works on this machine."""
+
+import ctypes
+import ctypes.util
+import os
+import platform
+import struct
+import sys
+import weakref
+import zlib
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstbenchError
+from estbench.report.rendering.scene import add_belief, lit, plain, pose
+from estbench.report.rendering.window import start
+from estbench.shapes import Array
+
+
+class RenderError(EstbenchError):
+    """Nothing can be drawn on this machine."""
+
+
+class Renderer:
+    """Pixels of one robot, of its ghost and of the ghost's position covariance; no display needed.
+
+    Args:
+        model: the robot; a copy of it is drawn (see `scene.lit`), its offscreen buffer enlarged
+            where it is too small.
+        width, height: pixels.
+        camera: name or number of a camera of the model, -1 for one that follows; default `view`,
+            else its first, else one that follows.
+
+    Raises:
+        RenderError: neither OSMesa nor EGL works here, or there is no such camera.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        width: int = 640,
+        height: int = 480,
+        camera: str | int | None = None,
+    ):
+        self.model = model = lit(model)
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+        size = model.vis.global_
+        size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
+        model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 1024)  # drawn by the CPU
+        self.scene = mujoco.MjvScene(model, maxgeom=4 * model.ngeom + 4 * model.nsite + 200)
+        self.camera, self._follows = find_camera(model, camera)
+        self._option = plain()
+        self._truth, self._ghost = mujoco.MjData(model), mujoco.MjData(model)
+        self._gl = context(width, height)
+        self._gl.make_current()
+        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        self.close = weakref.finalize(self, _free, self._gl, self._mjr)
+        """Free the OpenGL context: now, or when this is collected, or as Python ends."""
+
+    def __enter__(self) -> "Renderer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def draw(self, x: Array, estimate: Array | None = None, cov: Array | None = None) -> NDArray:
+        """One picture `(height, width, 3)` of unsigned bytes.
+
+        Args:
+            x: true state `(nx,)`.
+            estimate: x̂ `(nx,)`; no ghost without it, nor where it is not finite.
+            cov: P `(n, n)`; no ellipsoid without it.
+        """
+        self.update(x, estimate, cov)
+        self._gl.make_current()
+        mujoco.mjr_render(self._rect, self.scene, self._mjr)
+        pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, self._rect, self._mjr)
+        return pixels[::-1]
+
+    def update(self, x: Array, estimate: Array | None, cov: Array | None) -> range:
+        """Fill the scene; the indices of the ghost's geoms."""
+        if np.isfinite(x).all():
+            pose(self.model, self._truth, x)
+        if self._follows:
+            self.camera.lookat = self._truth.subtree_com[0]
+        mujoco.mjv_updateScene(
+            self.model, self._truth, self._option, mujoco.MjvPerturb(), self.camera,
+            int(mujoco.mjtCatBit.mjCAT_ALL), self.scene,
+        )  # fmt: skip
+        if estimate is None:
+            return range(0)
+        return add_belief(self.scene, self.model, self._ghost, estimate, cov, self._option)
+
+
+def _free(gl: Any, mjr: mujoco.MjrContext) -> None:
+    gl.make_current()
+    mjr.free()
+    gl.free()
+
+
+def context(width: int, height: int) -> Any:
+    """An OpenGL context that needs no display, with `make_current()` and `free()`.
+
+    `MUJOCO_GL` is obeyed; else EGL where there is a graphics card, then OSMesa, then EGL.
+
+    Raises:
+        RenderError: none works; the message says what to install.
+    """
+    if platform.system() != "Linux":
+        from mujoco.gl_context import GLContext  # pyright: ignore[reportAttributeAccessIssue]
+
+        return GLContext(width, height)
+    tried = []
+    for name in _candidates():
+        try:
+            if name == "osmesa":
+                from mujoco.osmesa import GLContext
+            elif name == "egl":
+                from mujoco.egl import GLContext
+            else:
+                from mujoco.glfw import GLContext
+
+                start("unset MUJOCO_GL")
+            return GLContext(width, height)
+        except Exception as error:  # each library fails in its own way
+            tried.append(f"{name}: {' '.join(str(error).split())[:120] or type(error).__name__}")
+    reason = f" ({'; '.join(tried)})" if tried else ""
+    chosen = _wanted()
+    what = f"MUJOCO_GL={chosen} does not work" if chosen else "neither OSMesa nor EGL works"
+    raise RenderError(
+        f"nothing can be drawn here: {what}; {'unset it, or ' if chosen else ''}install one, e.g. "
+        f"apt-get install libosmesa6 (or libegl1 with a graphics driver){reason}"
+    )
+
+
+def available() -> bool:
+    """Whether pictures can be drawn on this machine."""
+    try:
+        gl = context(16, 16)
+    except RenderError:
+        return False
+    gl.free()
+    return True
+
+
+def png(pixels: NDArray) -> bytes:
+    """A picture `(height, width, 3)` of unsigned bytes as a PNG file."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        check = zlib.crc32(kind + content)
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+
+    height, width = pixels.shape[:2]
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)], axis=1)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
+        + chunk(b"IEND", b"")
+    )
+
+
+def _wanted() -> str:
+    """The backend that MUJOCO_GL names, or "" where it leaves the choice to us."""
+    name = os.environ.get("MUJOCO_GL", "").lower().strip()
+    return name if name in ("osmesa", "egl", "glfw") else ""
+
+
+def _candidates() -> list[str]:
+    """Names to try: PyOpenGL takes one platform a process, so only what has its library."""
+    if wanted := _wanted():
+        return [wanted]
+    fixed = os.environ.get("PYOPENGL_PLATFORM") if "OpenGL" in sys.modules else None
+    if fixed in ("osmesa", "egl"):
+        return [fixed]
+    card = any(Path("/dev/dri").glob("renderD*")) or Path("/dev/nvidiactl").exists()
+    egl = ["egl"] if _egl_display() else []
+    osmesa = ["osmesa"] if ctypes.util.find_library("OSMesa") else []
+    return (egl + osmesa if card else osmesa + egl)[:1]
+
+
+def _egl_display() -> bool:
+    """Whether EGL offers a device: asked by ctypes, as PyOpenGL could not be asked twice."""
+    name = ctypes.util.find_library("EGL")
+    if name is None:
+        return False
+    try:
+        address = ctypes.CDLL(name).eglGetProcAddress
+        address.restype, address.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
+        pointer = address(b"eglQueryDevicesEXT")
+        if not pointer:
+            return False
+        query = ctypes.CFUNCTYPE(
+            ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int)
+        )(pointer)
+        count = ctypes.c_int(0)
+        return bool(query(0, None, ctypes.byref(count))) and count.value > 0
+    except (OSError, AttributeError):
+        return False
+
+
+def find_camera(model: mujoco.MjModel, wanted: str | int | None) -> tuple[mujoco.MjvCamera, bool]:
+    """A camera as in `Renderer`, and whether its target must follow the robot.
+
+    Raises:
+        RenderError: there is no such camera.
+    """
+    names = [model.camera(i).name for i in range(model.ncam)]
+    known = wanted in names or (isinstance(wanted, int) and -1 <= wanted < len(names))
+    if wanted is not None and not known:
+        raise RenderError(
+            f"camera is {wanted!r}; the model has {', '.join(names) or 'none'} (-1 is free)"
+        )
+    camera = mujoco.MjvCamera()
+    if not names or wanted == -1:
+        mujoco.mjv_defaultFreeCamera(model, camera)
+        return camera, True
+    chosen = wanted if wanted is not None else "view" if "view" in names else 0
+    camera.type = int(mujoco.mjtCamera.mjCAMERA_FIXED)
+    camera.fixedcamid = names.index(chosen) if isinstance(chosen, str) else chosen
+    return camera, False

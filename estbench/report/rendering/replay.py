@@ -1,0 +1,161 @@
+"""One run to look at: its truth, its estimate and its covariance at every instant."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from estbench.analysis.load import array
+from estbench.consistency.nees import chi_square_band
+from estbench.errors import EstbenchError, EstimatorError
+from estbench.experiment import setup
+from estbench.montecarlo import run as experiment
+from estbench.report.sources import Entry, load
+from estbench.robots.batch import engine
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array
+from estbench.store.zarr import STORE
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """One run of one estimator.
+
+    Attributes:
+        name: the scenario's.
+        label: the estimator's.
+        run: its number.
+        model: the true robot, to be drawn.
+        times: `(K + 1,)` s.
+        truth, estimate: x and x̂ `(K + 1, nx)`.
+        cov: P `(K + 1, n, n)`; only its diagonal where `correlated` is False.
+        nees: NEES/n `(K + 1,)`.
+        band: bounds of NEES/n of a single consistent run.
+        level: of the band.
+        correlated: whether the covariances between coordinates are known.
+    """
+
+    name: str
+    label: str
+    run: int
+    model: mujoco.MjModel
+    times: Array
+    truth: Array
+    estimate: Array
+    cov: Array
+    nees: Array
+    band: tuple[float, float]
+    level: float
+    correlated: bool
+
+
+def replay(
+    source: str | Path,
+    run: int,
+    estimator: str | None = None,
+    overrides: Sequence[str] = (),
+) -> Replay:
+    """A run of a results folder, or of a scenario that is simulated for it.
+
+    Args:
+        source: results folder, bundled name, TOML or MJCF path.
+        run: its number.
+        estimator: label; default the first.
+        overrides: `section.key=value` strings, for a scenario.
+
+    Raises:
+        EstbenchError: no such run or estimator, or anything wrong with the scenario.
+    """
+    if run < 0:
+        raise EstbenchError(f"--run is {run}; runs are numbered from 0")
+    if (Path(source) / STORE).is_dir():
+        if overrides:
+            raise EstbenchError("--set changes a scenario, not results that are there already")
+        entry = load([source], [estimator] if estimator else ())[0]
+        if entry.position(run) is None:
+            raise entry.no_run(run)
+        return of_entry(entry, run)
+    chosen = [estimator] if estimator else None
+    scenario = experiment.resolve(source, chosen, overrides=overrides)
+    return simulated(scenario, run, next(iter(scenario.estimators)))
+
+
+def of_entry(entry: Entry, run: int) -> Replay:
+    """A run as it was stored; simulated again where no traces were kept.
+
+    P comes from the store (`keep = full`), else from simulating the run again where that gives
+    the stored estimate, else it is the stored variances alone.
+    """
+    source = entry.source
+    if not source.has_traces:
+        return simulated(source.scenario, run, entry.label)
+    place = entry.position(run)
+    group = entry.group.isel(run=place)
+    prepared = setup.build(source.scenario)
+    estimate, std = group["estimate"].values, group["std"].values
+    if source.scenario.control.observe == "estimate":  # each estimator has a truth of its own
+        truth = prepared.space.plus(estimate, group["error"].values)
+    else:
+        truth = array(source.tree, "truth/x").isel(run=place).values
+    correlated = True
+    if "cov" in group:
+        cov = group["cov"].values
+    else:
+        again = _again(source.scenario, run, entry.label, estimate)
+        correlated = again is not None
+        cov = again if again is not None else std[:, :, None] ** 2 * np.eye(source.n)
+    return _replay(
+        prepared, entry.label, run, truth, estimate, cov, group["nees"].values, correlated
+    )
+
+
+def simulated(scenario: Scenario, run: int, label: str) -> Replay:
+    """A run simulated now."""
+    if label not in scenario.estimators:
+        raise EstimatorError(f"no estimator '{label}' in {scenario.name}")
+    chosen = scenario.model_copy(update={"estimators": {label: scenario.estimators[label]}})
+    prepared = setup.build(chosen)
+    with engine():
+        ((_, traces),) = experiment.traced(prepared, [run], keep_cov=True)
+    assert traces is not None
+    assert traces.cov is not None
+    return _replay(
+        prepared, label, run, traces.truth[:, 0], traces.mean[:, 0], traces.cov[:, 0],
+        traces.nees[:, 0], True,
+    )  # fmt: skip
+
+
+def _again(scenario: Scenario, run: int, label: str, estimate: Array) -> Array | None:
+    """P of the run simulated again, or None where that is another run than the stored one."""
+    try:
+        other = simulated(scenario, run, label)
+    except EstbenchError:
+        return None
+    same = other.estimate.shape == estimate.shape and np.allclose(
+        other.estimate, estimate, rtol=1e-6, atol=1e-6, equal_nan=True
+    )
+    return other.cov if same else None
+
+
+def _replay(
+    prepared: setup.Setup, label: str, run: int, truth: Array, estimate: Array, cov: Array,
+    nees: Array, correlated: bool,
+) -> Replay:  # fmt: skip
+    n, level = prepared.space.n, prepared.scenario.consistency.level
+    low, high = chi_square_band(n, 1, level)
+    return Replay(
+        name=prepared.scenario.name,
+        label=label,
+        run=run,
+        model=prepared.plant.model,
+        times=prepared.times,
+        truth=truth,
+        estimate=estimate,
+        cov=cov,
+        nees=nees / n,
+        band=(low / n, high / n),
+        level=level,
+        correlated=correlated,
+    )

@@ -1,0 +1,296 @@
+"""`estbench video`: truth, ghost and covariance, and NEES in step with them under the picture."""
+
+import io
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import EstbenchError, MissingExtraError, StoreError
+from estbench.report.rendering.render import Renderer
+from estbench.report.rendering.replay import Replay
+from estbench.shapes import Array
+from estbench.tables.destination import check_file
+
+try:
+    from PIL import Image, ImageDraw, ImageFont
+except ImportError:
+    raise MissingExtraError("pillow", "video") from None
+
+Say = Callable[[int, int], None]
+
+FORMATS = (".mp4", ".gif", ".png")
+MOST_FRAMES = 20_000
+_INK, _SOFT, _LINE, _BAND = (27, 31, 36), (87, 96, 106), (0, 114, 178), (228, 228, 228)
+_CURSOR, _PAPER, _FUTURE = (213, 94, 0), (255, 255, 255), (160, 190, 210)
+_FINE = 2  # the chart is drawn so many times larger and then reduced: smooth lines
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a video looks.
+
+    Attributes:
+        width, height: of the robot's picture, pixels, even; the chart comes under it.
+        fps: frames a second.
+        speed: seconds of the run a second of the video.
+        camera: of the model; default as in `Renderer`.
+    """
+
+    width: int = 640
+    height: int = 480
+    fps: float = 25.0
+    speed: float = 1.0
+    camera: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            if not 64 <= value <= 4096 or value % 2:
+                raise EstbenchError(f"--{name} is {value}; use an even number from 64 to 4096")
+        for name in ("fps", "speed"):
+            if not 0 < getattr(self, name) <= 1000:
+                raise EstbenchError(f"--{name} is {getattr(self, name):g}; use one in (0, 1000]")
+
+    @property
+    def strip(self) -> int:
+        """Height of the chart, pixels."""
+        return max(60, 2 * round(self.height / 8))
+
+
+def frame_steps(times: Array, fps: float, speed: float = 1.0) -> NDArray[np.intp]:
+    """Index of the instant that each frame shows: the last one that is not after the frame."""
+    count = math.floor((times[-1] - times[0]) * fps / speed + 1e-9) + 1
+    if count > MOST_FRAMES:
+        raise EstbenchError(
+            f"{count} frames are too many (at most {MOST_FRAMES}); lower --fps or raise --speed"
+        )
+    shown = times[0] + np.arange(count) * speed / fps
+    return np.searchsorted(times, shown + 1e-9, side="right") - 1
+
+
+def write(
+    run: Replay, path: Path, look: Look, at: float | None = None, say: Say = lambda i, n: None
+) -> int:
+    """Write a video (`.mp4`, `.gif`) or, with `at`, one frame of it (`.png`).
+
+    Args:
+        run: what is shown.
+        path: the file; its suffix says the format.
+        look: size and speed.
+        at: s; the time of a `.png`.
+        say: called with the frames done and the frames in all.
+
+    Returns:
+        How many frames were written.
+
+    Raises:
+        RenderError: nothing can be drawn here.
+        MissingExtraError: the encoder is not installed.
+        EstbenchError: an unknown format, or no such time.
+    """
+    kind = path.suffix.lower()
+    check(path, at)
+    if kind == ".png":
+        assert at is not None
+        if not run.times[0] <= at <= run.times[-1]:
+            raise EstbenchError(f"--at is {at:g} s; the run is from 0 to {run.times[-1]:g} s")
+        steps = np.array([np.searchsorted(run.times, at + 1e-9, side="right") - 1])
+    else:
+        steps = frame_steps(run.times, look.fps, look.speed)
+
+    def counted() -> Iterator[NDArray]:
+        for i, frame in enumerate(frames(run, steps, look)):
+            yield frame
+            say(i + 1, len(steps))
+
+    try:
+        {".mp4": _mp4, ".gif": _gif, ".png": _png}[kind](counted(), path, look)
+    except OSError as error:
+        reason = error.strerror or " ".join(str(error).split())[:200]
+        raise StoreError(f"{path} cannot be written: {reason}; choose --out") from None
+    return len(steps)
+
+
+def check(path: Path, at: float | None) -> None:
+    """Refuse a file that could not be written, before anything is simulated or drawn."""
+    kind = path.suffix.lower()
+    if kind not in FORMATS:
+        raise EstbenchError(f"--out {path}: no such format; use {', '.join(FORMATS)}")
+    if (kind == ".png") != (at is not None):
+        raise EstbenchError("a .png is one frame: give --at its time in s (and only then)")
+    check_file(path)
+    if kind == ".mp4":
+        _encoder()
+
+
+def clip(run: Replay, look: Look) -> tuple[bytes, bytes]:
+    """An mp4, and its middle frame as a JPEG, for the report."""
+    steps = frame_steps(run.times, look.fps, look.speed)
+    pictures = list(frames(run, steps, look))
+    poster = io.BytesIO()
+    Image.fromarray(pictures[len(pictures) // 2]).save(poster, "JPEG", quality=80)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "clip.mp4"
+        _mp4(iter(pictures), path, look)
+        return path.read_bytes(), poster.getvalue()
+
+
+def frames(run: Replay, steps: NDArray[np.intp], look: Look) -> Iterator[NDArray]:
+    """The frames `(height + strip, width, 3)` of some instants."""
+    chart = Chart(run, look.width, look.strip)
+    with Renderer(run.model, look.width, look.height, look.camera) as renderer:
+        for step in steps:
+            picture = renderer.draw(run.truth[step], run.estimate[step], run.cov[step])
+            yield np.concatenate([picture, chart.draw(int(step))])
+
+
+class Chart:
+    """NEES/n of a run over time with the band of a single run, and a cursor.
+
+    Args:
+        run: what is charted.
+        width, height: pixels.
+    """
+
+    def __init__(self, run: Replay, width: int, height: int):
+        self.run, self._size = run, (width, height)
+        f = _FINE
+        text = max(10, round(height / 8))
+        self._font = _font(text * f)
+        self.left, self.right = round(4.2 * text), width - round(1.2 * text)
+        self.top, self.bottom = round(1.7 * text), height - round(1.8 * text)
+        finite = run.nees[np.isfinite(run.nees) & (run.nees > 0)]
+        low = min(0.5 * run.band[0], float(np.percentile(finite, 1)) if len(finite) else 1.0)
+        high = max(2 * run.band[1], 1.2 * float(finite.max()) if len(finite) else 1.0)
+        self._log = math.log10(max(low, high * 1e-6)), math.log10(high)
+        x, y = self.x(run.times) * f, self.y(run.nees) * f
+        self._points = [(a, b) for a, b in zip(x, y)]
+        self._valid = np.isfinite(run.nees)
+        self._base = Image.new("RGB", (width * f, height * f), _PAPER)
+        self._axes(ImageDraw.Draw(self._base))
+
+    def x(self, time: Array | float) -> Array:
+        """Pixel column of a time."""
+        first, last = self.run.times[0], self.run.times[-1]
+        return self.left + (np.asarray(time) - first) / (last - first) * (self.right - self.left)
+
+    def y(self, nees: Array | float) -> Array:
+        """Pixel row of NEES/n, on a logarithmic axis; what does not fit is put on the edge."""
+        low, high = self._log
+        with np.errstate(invalid="ignore", divide="ignore"):
+            part = np.clip((np.log10(nees) - low) / (high - low), 0.0, 1.0)
+        return self.bottom - part * (self.bottom - self.top)
+
+    def draw(self, step: int) -> NDArray:
+        """The chart `(height, width, 3)` up to an instant."""
+        f = _FINE
+        image = self._base.copy()
+        pen = ImageDraw.Draw(image)
+        self._curve(pen, step + 1, _LINE)
+        column = float(self.x(self.run.times[step])) * f
+        pen.line([(column, self.top * f), (column, self.bottom * f)], fill=_CURSOR, width=f)
+        text = _moment(self.run.times[step], self.run.nees[step])
+        pen.text((self.right * f, 1.5 * f), text, fill=_INK, font=self._font, anchor="rt")
+        return np.asarray(image.resize(self._size, Image.Resampling.BOX))
+
+    def _curve(self, pen: "ImageDraw.ImageDraw", stop: int, colour: tuple[int, int, int]) -> None:
+        points = [p for p, good in zip(self._points[:stop], self._valid) if good]
+        if len(points) > 1:
+            pen.line(points, fill=colour, width=round(1.2 * _FINE), joint="curve")
+
+    def _title(self) -> str:
+        """What is shown, as long as it leaves room for the time and NEES of a frame."""
+        run = self.run
+        short = f"{run.label}, run {run.run}"
+        room = (self.right - self.left) * _FINE - self._font.getlength(_moment(-999.99, 1.23e-10))
+        titles = (f"{run.name}: {short} (grey: {run.level:.0%})", f"{run.name}: {short}", short)
+        return next((t for t in titles if self._font.getlength(t) < room), "")
+
+    def _axes(self, pen: "ImageDraw.ImageDraw") -> None:
+        f, run = _FINE, self.run
+        band = [float(self.y(v)) * f for v in run.band]
+        pen.rectangle([self.left * f, band[1], self.right * f, band[0]], fill=_BAND)
+        self._curve(pen, len(run.times), _FUTURE)
+        pen.text((self.left * f, 1.5 * f), self._title(), fill=_INK, font=self._font, anchor="lt")
+        low, high = math.ceil(self._log[0]), math.floor(self._log[1])
+        decade = (self.bottom - self.top) / (self._log[1] - self._log[0])
+        apart = max(1, math.ceil(1.2 * max(10, round(self._size[1] / 8)) / decade))
+        for power in range(low - low % -apart, high + 1, apart):
+            row = float(self.y(10.0**power)) * f
+            pen.line([(self.left * f, row), (self.right * f, row)], fill=_SOFT, width=1)
+            pen.text(
+                ((self.left - 4) * f, row), f"{10.0**power:g}", fill=_SOFT, font=self._font,
+                anchor="rm",
+            )  # fmt: skip
+        span = run.times[-1] - run.times[0]
+        tick = next(
+            s * 10.0**p for p in range(-4, 6) for s in (1, 2, 5) if span / (s * 10.0**p) <= 6
+        )
+        for k in range(math.ceil(run.times[0] / tick), math.floor(run.times[-1] / tick + 1e-9) + 1):
+            column = float(self.x(k * tick)) * f
+            pen.line([(column, self.bottom * f), (column, (self.bottom + 3) * f)], fill=_SOFT,
+                     width=f)  # fmt: skip
+            last = k * tick > run.times[-1] - 0.05 * span
+            pen.text(
+                (column, (self.bottom + 4) * f), f"{k * tick:g} s", fill=_SOFT, font=self._font,
+                anchor="rt" if last else "mt",
+            )  # fmt: skip
+        pen.line(
+            [(self.left * f, self.bottom * f), (self.right * f, self.bottom * f)], fill=_SOFT,
+            width=f,
+        )  # fmt: skip
+
+
+def _moment(time: float, nees: float) -> str:
+    return (
+        f"t = {time:.2f} s   NEES/n = {nees:.3g}"
+        if np.isfinite(nees)
+        else f"t = {time:.2f} s   failed"
+    )
+
+
+def _font(size: int) -> "ImageFont.FreeTypeFont | ImageFont.ImageFont":
+    return ImageFont.load_default(size)
+
+
+def _encoder() -> None:
+    try:
+        import imageio_ffmpeg  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("imageio-ffmpeg", "video") from None
+
+
+def _mp4(pictures: Iterator[NDArray], path: Path, look: Look) -> None:
+    import imageio_ffmpeg
+
+    settings: dict[str, Any] = {
+        "fps": look.fps, "codec": "libx264", "pix_fmt_in": "rgb24", "pix_fmt_out": "yuv420p",
+        "macro_block_size": 2, "quality": None, "ffmpeg_log_level": "error",
+        "output_params": ["-crf", "25", "-preset", "medium", "-movflags", "+faststart"],
+    }  # fmt: skip
+    size = (look.width, look.height + look.strip)
+    writer = imageio_ffmpeg.write_frames(str(path), size, **settings)
+    writer.send(None)
+    try:
+        for picture in pictures:
+            writer.send(np.ascontiguousarray(picture))
+    finally:
+        writer.close()
+
+
+def _gif(pictures: Iterator[NDArray], path: Path, look: Look) -> None:
+    first, *rest = [Image.fromarray(p).quantize(128, dither=Image.Dither.NONE) for p in pictures]
+    first.save(
+        path, save_all=True, append_images=rest, duration=round(1000 / look.fps), loop=0,
+        optimize=True,
+    )  # fmt: skip
+
+
+def _png(pictures: Iterator[NDArray], path: Path, look: Look) -> None:
+    Image.fromarray(next(pictures)).save(path, optimize=True)

@@ -1,0 +1,1 @@
+"""MuJoCo robots as state-space models; the only package that imports `mujoco.batch`."""

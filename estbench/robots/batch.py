@@ -1,0 +1,205 @@
+"""Many states of one model as rows of `mujoco.batch.Batch`: step them, read their sensors and flow.
+
+This is the only file that touches `mujoco.batch`. A row that cannot be computed (not finite, too
+large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent reset.
+"""
+
+import ctypes
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import get_args
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from estbench.robots import mjcf
+from estbench.shapes import Array, Mask
+from estbench.spaces.linalg import surely_finite
+
+_BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+
+
+class Rows:
+    """Stateless stepping of any number of rows; one `Batch` is kept for each count in use.
+
+    Not safe to share between threads: give each its own.
+    """
+
+    def __init__(self, model: mujoco.MjModel, nthread: int = 1):
+        self.model = model
+        self.nthread = nthread
+        self.nx = model.nq + model.nv + model.na
+        self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+        self._batches: dict[tuple[int, mjcf.Use], Batch] = {}
+        self._models: dict[mjcf.Use, mujoco.MjModel] = {}
+        self._varied = False
+        probe = Batch(model, 1, 1)
+        address = probe.state.ctypes.data
+
+        def columns(field: str, width: int) -> slice:
+            if not width:
+                return slice(0, 0)
+            start = (probe.bind(field).ctypes.data - address) // 8
+            return slice(start, start + width)
+
+        # In the state row qpos, qvel and act follow each other: x is one block of columns.
+        self._x = columns("qpos", self.nx)
+        self._time = columns("time", 1)
+        self._ctrl = columns("ctrl", model.nu)
+        self._force = columns("qfrc_applied", model.nv)
+
+    def batch(self, count: int, use: mjcf.Use = "step") -> Batch:
+        """The batch of `count` rows for a use, with zero forces."""
+        if (count, use) not in self._batches:
+            if use not in self._models:
+                self._models[use] = mjcf.lean(self.model, use)
+            batch = Batch(self._models[use], count, self.nthread)
+            if use != "step":
+                batch.bind("sensordata")
+            self._batches[count, use] = batch
+        return self._batches[count, use]
+
+    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
+        """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
+        if not self._varied:  # the parameter may be what switches a constraint on
+            self._models, self._batches = dict.fromkeys(get_args(mjcf.Use), self.model), {}
+            self._varied = True
+        for use in self._models:
+            batch = self.batch(count, use)
+            batch.expand(field)[:, index] = values
+            batch.set_const()
+
+    def step(self, x: Array, u: Array, t: float, nstep: int, force: Array | None = None) -> Array:
+        """States `(..., nx)` after `nstep` physics steps.
+
+        Args:
+            x: `(run, nx)` or `(run, point, nx)`.
+            u: controls, broadcast against x's leading axes: `(run, nu)` or `(run, point, nu)`.
+            t: time at the start, s.
+            nstep: physics steps.
+            force: generalized forces `(run, point, nv)` held over the steps.
+        """
+        batch, rows, bad = self._load(x, u, t, "step")
+        if force is not None:
+            rows[..., self._force] = force
+        bad = self._run(batch, bad, nstep, 0)
+        out = rows[..., self._x].copy()
+        if force is not None:
+            rows[..., self._force] = 0.0
+        if bad is not None:
+            out.reshape(-1, self.nx)[bad] = np.nan
+        return out
+
+    def read(self, x: Array, u: Array, t: float, stage: int, columns: NDArray[np.intp]) -> Array:
+        """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
+        looks = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
+        batch, _, bad = self._load(x, u, t, "look" if looks else "feel")
+        bad = self._run(batch, bad, 0, stage)
+        out = batch.bind("sensordata")[:, columns]
+        if bad is not None:
+            out[bad] = np.nan
+        return out.reshape(*x.shape[:-1], len(columns))
+
+    def flow(self, x: Array, u: Array, t: float, force: Array | None = None) -> Array:
+        """Rates (q̇, q̈, ȧ) `(..., 2 nv + na)` at x by the whole forward dynamics; see `step`.
+
+        q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
+        """
+        batch, rows, bad = self._load(x, u, t, "step")
+        derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
+        if force is not None:
+            rows[..., self._force] = force
+        bad = self._run(batch, bad, 0, int(mujoco.mjtStage.mjSTAGE_ACC))
+        velocity = batch.state[:, self._x][:, self.model.nq : self.model.nq + self.model.nv]
+        out = np.concatenate([velocity, *derived], axis=-1)
+        if force is not None:
+            rows[..., self._force] = 0.0
+        if bad is not None:
+            out[bad] = np.nan
+        return out.reshape(*x.shape[:-1], out.shape[-1])
+
+    def _load(
+        self, x: Array, u: Array, t: float, use: mjcf.Use
+    ) -> tuple[Batch, Array, Mask | None]:
+        """Write states and controls; rows that are not finite are parked at rest and returned."""
+        lead = x.shape[:-1]
+        batch = self.batch(math.prod(lead), use)
+        rows = batch.state.reshape(*lead, -1)
+        bad = None
+        if not surely_finite(x):
+            broken = ~np.isfinite(x).all(axis=-1)
+            if broken.any():
+                x = np.where(broken[..., None], self.rest, x)
+                bad = broken.ravel()
+        rows[..., self._x] = x
+        rows[..., self._time] = t
+        if self.model.nu:
+            rows[..., self._ctrl] = u if u.ndim == x.ndim else u[:, None]
+        return batch, rows, bad
+
+    def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
+        """Step or run forward; the mask of rows without a result, or None."""
+        failed: Mask | None = None
+        try:
+            if nstep:
+                batch.step(nstep=nstep)
+            else:
+                batch.forward(stage=stage)
+        except SimulationError as error:
+            failed = np.zeros(batch.nsim, bool)
+            failed[error.ids] = True
+        warned = batch.warning[:, _BAD_STATE, 1]
+        if np.count_nonzero(warned):
+            blown = warned.any(axis=1)
+            failed = blown if failed is None else failed | blown
+            batch.warning[...] = 0
+        if bad is None or failed is None:
+            return bad if failed is None else failed
+        return bad | failed
+
+
+_depth = 0
+_lock = threading.Lock()
+_saved: tuple[int | None, mujoco.MjLogConfig] | None = None
+
+
+def _profiling_callback() -> ctypes.c_void_p:
+    """The pointer `mjcb_time` of the loaded library."""
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time")
+
+
+@contextmanager
+def engine() -> Iterator[None]:
+    """While batches run: no profiling callback (a third of a small step), no MUJOCO_LOG.TXT.
+
+    Both are globals of the MuJoCo library; they are restored when the last user leaves. Warnings
+    are not lost: they are counted a row, and estbench reports the runs they end.
+    """
+    global _depth, _saved
+    with _lock:
+        _depth += 1
+        if _depth == 1:
+            _saved = (_profiling_callback().value, _log_config())
+            _profiling_callback().value = None
+            quiet = _log_config()
+            quiet.logto_console, quiet.logto_file = 0, 0
+            mujoco.MjLogConfig.set(quiet)
+    try:
+        yield
+    finally:
+        with _lock:
+            _depth -= 1
+            if _depth == 0 and _saved is not None:
+                _profiling_callback().value = _saved[0]
+                mujoco.MjLogConfig.set(_saved[1])
+                _saved = None
+
+
+def _log_config() -> mujoco.MjLogConfig:
+    return mujoco.MjLogConfig.get()

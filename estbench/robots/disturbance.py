@@ -1,0 +1,172 @@
+"""The random disturbance on a MuJoCo model: what the truth draws is what the filter's Q describes.
+
+Over an interval dt the disturbance is N(0, ·) with covariance made from the spectral density Q_s:
+
+- `additive`: w ~ N(0, Q_s dt) in the tangent, x ⊞ w at the interval's end. The filter's Q is exact.
+- `force`: generalized forces ~ N(0, Q_s/dt), held over the interval.
+- `actuator`: ~ N(0, Q_s/dt) added to the (clamped) controls, held over the interval.
+
+For the last two Q = Γ Γᵀ, where column j of Γ is the change of the end state under the j-th column
+of a factor of Q_s/dt: the model's own response to one standard deviation of the disturbance. In
+continuous time (`intensity`) the same is G Q_s Gᵀ, with G = ∂ẋ/∂w.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from estbench.errors import CovarianceError, DimensionError
+from estbench.robots.batch import Rows
+from estbench.robots.layout import actuator_names
+from estbench.shapes import Array
+from estbench.spaces.linalg import is_positive_semidefinite, psd_factor, rescaled
+from estbench.spaces.manifold import Manifold
+from estbench.spaces.patterns import expand
+
+Kind = Literal["additive", "force", "actuator"]
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """Kind and spectral density of a disturbance.
+
+    Attributes:
+        kind: where it enters.
+        density: Q_s `(k, k)`, k = n, nv or nu by kind.
+        factor: a square root of Q_s with only its nonzero columns `(k, rank)`.
+        schedule: over time, taken at an interval's start, a factor on Q_s (one, or one a coordinate
+            `(k,)`: Q_s then is D Q_s D with D² the factors) or Q_s itself `(k, k)`; None for a
+            constant.
+        scale: what Q_s is multiplied by where the schedule gives Q_s itself.
+    """
+
+    kind: Kind
+    density: Array
+    factor: Array
+    schedule: Callable[[float], float | Array] | None = None
+    scale: float = 1.0
+
+    @classmethod
+    def build(
+        cls,
+        model: mujoco.MjModel,
+        space: Manifold,
+        kind: Kind,
+        density: float | Sequence[float] | dict[str, float] = 0.0,
+        matrix: Sequence[Sequence[float]] | None = None,
+    ) -> "Disturbance":
+        """From a diagonal `density` per name, or a full `matrix`.
+
+        Raises:
+            DimensionError: wrong count of values.
+            CovarianceError: a density is negative or the matrix not positive semidefinite.
+        """
+        names = {
+            "additive": space.names,
+            "force": space.names[model.nv : 2 * model.nv],
+            "actuator": actuator_names(model),
+        }[kind]
+        if matrix is None:
+            values = expand(density, names, "process_noise.density")
+            if (values < 0).any():
+                raise CovarianceError(
+                    f"process_noise.density is negative for {names[int(values.argmin())]}: "
+                    f"{values.min():g}; a spectral density is at least 0"
+                )
+            Q = np.diag(values)
+        else:
+            Q = np.asarray(matrix, dtype=np.float64)
+            if Q.shape != (len(names), len(names)):
+                raise DimensionError(
+                    f"process_noise.matrix has shape {Q.shape}; expected "
+                    f"{(len(names), len(names))} for kind '{kind}' ({', '.join(names)})"
+                )
+            if not is_positive_semidefinite(Q):
+                raise CovarianceError("process_noise.matrix is not symmetric positive semidefinite")
+        factor = psd_factor(Q)
+        return cls(kind, Q, factor[:, np.abs(factor).max(axis=0, initial=0.0) > 0])
+
+    @property
+    def rank(self) -> int:
+        """Count of independent white noises."""
+        return self.factor.shape[1]
+
+    def scaled(self, scale: float) -> "Disturbance":
+        """The disturbance with Q_s times `scale`."""
+        return replace(
+            self,
+            density=scale * self.density,
+            factor=np.sqrt(scale) * self.factor,
+            scale=scale * self.scale,
+        )
+
+    def scheduled(self, schedule: Callable[[float], float | Array]) -> "Disturbance":
+        """The disturbance over time; that of t = 0 takes the constant's place if it is a matrix."""
+        first = schedule(0.0)
+        if np.ndim(first) < 2:
+            return replace(self, schedule=schedule)
+        density = np.asarray(first)  # of full rank: a coordinate may come to life later
+        return replace(self, density=density, factor=psd_factor(density), schedule=schedule)
+
+    def root(self, t: float) -> Array:
+        """A square root of Q_s at t `(k, rank)`."""
+        if self.schedule is None:
+            return self.factor
+        value = np.asarray(self.schedule(t))
+        if value.ndim == 2:
+            return np.sqrt(self.scale) * psd_factor(value)
+        return np.sqrt(value)[..., None] * self.factor
+
+    def _density(self, t: float) -> Array:
+        """Q_s at t."""
+        if self.schedule is None:
+            return self.density
+        value = np.asarray(self.schedule(t))
+        if value.ndim == 2:
+            return self.scale * value
+        return rescaled(self.density, np.sqrt(value))
+
+    def sample(self, white: Array, t: float, dt: float) -> Array:
+        """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
+        size = np.sqrt(dt) if self.kind == "additive" else np.sqrt(1.0 / dt)
+        return white @ self.root(t).T * size
+
+    def covariance(
+        self, rows: Rows, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
+    ) -> Array:
+        """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
+        if self.kind == "additive":
+            return self._density(t) * dt
+        if not self.rank:
+            return np.zeros((space.n, space.n))
+        points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(1.0 / dt))
+        ends = rows.step(points, push, t, nstep, force)
+        response = space.minus(ends[:, 1:], ends[:, :1])
+        return response.mT @ response
+
+    def intensity(self, rows: Rows, space: Manifold, x: Array, u: Array, t: float) -> Array:
+        """Q_s of the noise on ẋ, `(n, n)` or `(run, n, n)`, at x `(run, nx)`: G Q_s Gᵀ.
+
+        G is the slope of ẋ over one standard deviation of the disturbance held for a physics step;
+        ẋ is linear in it but for contacts and the gains of some actuators.
+        """
+        if self.kind == "additive":
+            return self._density(t)
+        if not self.rank:
+            return np.zeros((space.n, space.n))
+        held = 1.0 / rows.model.opt.timestep
+        points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(held))
+        rates = rows.flow(points, push, t, force)
+        response = (rates[:, 1:] - rates[:, :1]) / np.sqrt(held)
+        return response.mT @ response
+
+    def _pushed(self, x: Array, u: Array, root: Array) -> tuple[Array, Array, Array | None]:
+        """States, controls and forces of rows without and with each column of a root of Q_s."""
+        columns = np.concatenate([np.zeros((1, len(root))), root.T])
+        points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
+        if self.kind == "force":
+            return points, u, columns
+        return points, u[:, None] + columns, None

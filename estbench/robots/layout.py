@@ -1,0 +1,121 @@
+"""Names, units and manifolds of a MuJoCo model's state and sensors."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from estbench.spaces.manifold import Manifold
+
+FREE, BALL, SLIDE, HINGE = range(4)
+_QUATERNION = int(mujoco.mjtDataType.mjDATATYPE_QUATERNION)
+
+# Unit by MuJoCo sensor type; what is missing is dimensionless or the user's own.
+SENSOR_UNITS = {
+    "touch": "N", "accelerometer": "m/s²", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
+    "torque": "N m", "magnetometer": "T", "rangefinder": "m", "camprojection": "pixel",
+    "tendonpos": "m", "tendonvel": "m/s", "actuatorfrc": "N", "tendonactfrc": "N",
+    "ballquat": "rad", "ballangvel": "rad/s", "framepos": "m", "framequat": "rad",
+    "framelinvel": "m/s", "frameangvel": "rad/s", "framelinacc": "m/s²", "frameangacc": "rad/s²",
+    "subtreecom": "m", "subtreelinvel": "m/s", "subtreeangmom": "kg m²/s", "geomdist": "m",
+    "geomfromto": "m", "clock": "s", "e_potential": "J", "e_kinetic": "J",
+}  # fmt: skip
+_JOINT_SENSORS = {
+    "jointpos": ("m", "rad"), "jointvel": ("m/s", "rad/s"), "jointactfrc": ("N", "N m"),
+    "jointlimitpos": ("m", "rad"), "jointlimitvel": ("m/s", "rad/s"),
+    "jointlimitfrc": ("N", "N m"),
+}  # fmt: skip
+_AXES = ("x", "y", "z")
+
+
+def object_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, prefix: str) -> str:
+    """The object's own name, or prefix and index when the MJCF gives none."""
+    return mujoco.mj_id2name(model, kind, index) or f"{prefix}{index}"
+
+
+def actuator_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Name of each control."""
+    kind = mujoco.mjtObj.mjOBJ_ACTUATOR
+    return tuple(object_name(model, kind, i, "actuator") for i in range(model.nu))
+
+
+def state_space(model: mujoco.MjModel) -> Manifold:
+    """The manifold of x = (qpos, qvel, act).
+
+    A hinge or slide joint J gives `J` and `J.vel`; a ball joint `J.rx` ... and `J.wx` ...; a free
+    joint `J.x` ... `J.rx` ... and `J.vx` ... `J.wx` .... An activation is `actuator.act`.
+    """
+    names: list[str] = [""] * (2 * model.nv + model.na)
+    units: list[str] = list(names)
+    quaternions = []
+    for j in range(model.njnt):
+        joint = object_name(model, mujoco.mjtObj.mjOBJ_JOINT, j, "joint")
+        kind, dof, qpos = model.jnt_type[j], model.jnt_dofadr[j], model.jnt_qposadr[j]
+        if kind in (SLIDE, HINGE):
+            unit = "m" if kind == SLIDE else "rad"
+            parts = [("", ".vel", unit)]
+        else:
+            linear = [(f".{a}", f".v{a}", "m") for a in _AXES] if kind == FREE else []
+            parts = linear + [(f".r{a}", f".w{a}", "rad") for a in _AXES]
+            quaternions.append([qpos + len(linear), dof + len(linear)])
+        for k, (position, velocity, unit) in enumerate(parts):
+            names[dof + k], units[dof + k] = joint + position, unit
+            names[model.nv + dof + k] = joint + velocity
+            units[model.nv + dof + k] = f"{unit}/s"
+    for i, actuator in enumerate(actuator_names(model)):
+        for k in range(model.actuator_actnum[i]):
+            index = 2 * model.nv + model.actuator_actadr[i] + k
+            names[index] = f"{actuator}.act" + (str(k) if model.actuator_actnum[i] > 1 else "")
+            units[index] = "1"
+    return Manifold(tuple(names), tuple(units), np.array(quaternions, np.intp).reshape(-1, 2))
+
+
+def state_names(space: Manifold) -> tuple[str, ...]:
+    """Name of each number of a state `(nx,)`: as its coordinate; a quaternion J.qw, ..., J.qz."""
+    names = list(space.names)
+    for start in sorted(space.quaternions[:, 1].tolist(), reverse=True):
+        joint = names[start].removesuffix(".rx")
+        names[start : start + 3] = [f"{joint}.q{axis}" for axis in "wxyz"]
+    return tuple(names)
+
+
+def sensor_type(model: mujoco.MjModel, index: int) -> str:
+    """MJCF name of a sensor's type, e.g. `jointpos`."""
+    return mujoco.mjtSensor(model.sensor_type[index]).name.removeprefix("mjSENS_").lower()
+
+
+def sensor_name(model: mujoco.MjModel, index: int) -> str:
+    """The sensor's name, or its type and index when the MJCF gives none."""
+    return object_name(model, mujoco.mjtObj.mjOBJ_SENSOR, index, f"{sensor_type(model, index)}_")
+
+
+def sensor_unit(model: mujoco.MjModel, index: int) -> str:
+    """Unit of a sensor's tangent coordinates."""
+    kind = sensor_type(model, index)
+    if kind in _JOINT_SENSORS:
+        slide, hinge = _JOINT_SENSORS[kind]
+        return slide if model.jnt_type[model.sensor_objid[index]] == SLIDE else hinge
+    return SENSOR_UNITS.get(kind, "1")
+
+
+def suffixes(n: int) -> list[str]:
+    """What tells the n numbers of one reading apart, after its name."""
+    return [""] if n == 1 else [f".{a}" for a in _AXES] if n == 3 else [f".{k}" for k in range(n)]
+
+
+def sensor_space(model: mujoco.MjModel, sensors: Sequence[int]) -> Manifold:
+    """The manifold of several sensors' readings, one after the other."""
+    names: list[str] = []
+    units: list[str] = []
+    quaternions = []
+    start = 0
+    for i in sensors:
+        name, width = sensor_name(model, i), int(model.sensor_dim[i])
+        quaternion = model.sensor_datatype[i] == _QUATERNION
+        if quaternion:
+            quaternions.append([start, len(names)])
+        n = 3 if quaternion else width
+        names += [name + s for s in suffixes(n)]
+        units += [sensor_unit(model, i)] * n
+        start += width
+    return Manifold(tuple(names), tuple(units), np.array(quaternions, np.intp).reshape(-1, 2))

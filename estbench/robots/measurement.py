@@ -1,0 +1,157 @@
+"""Where a channel's noise-free reading comes from: MuJoCo sensors, or a user's function."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import ScenarioError, user_error_location
+from estbench.robots import layout
+from estbench.robots.batch import Rows
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold, product
+
+StateFunction = Callable[[Array, Array, float], Array]
+"""h(x, u, t): state `(..., nx)`, control `(..., nu)`, time in s -> reading `(..., m)`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurand:
+    """One channel's noise-free reading.
+
+    Attributes:
+        space: the manifold of the reading.
+        sensors: MuJoCo sensors, read one after the other.
+        axes: which of the numbers that they read; None is all. No part of a quaternion.
+        function: in their place, a function of the state.
+        name: of the function, for messages.
+    """
+
+    space: Manifold
+    sensors: tuple[int, ...] = ()
+    axes: tuple[int, ...] | None = None
+    function: StateFunction | None = None
+    name: str = ""
+
+    @classmethod
+    def of_sensors(
+        cls, model: mujoco.MjModel, *sensors: int, axes: Sequence[int] | None = None
+    ) -> "Measurand":
+        """The readings of some sensors of a model, or some axes of them."""
+        space = layout.sensor_space(model, sensors)
+        if axes is None:
+            return cls(space, sensors)
+        names, units = (tuple(values[i] for i in axes) for values in (space.names, space.units))
+        return cls(Manifold(names, units), sensors, tuple(axes))
+
+    def columns(self, model: mujoco.MjModel) -> NDArray[np.intp]:
+        """Where the reading stands in sensordata."""
+        columns = sensor_columns(model, self.sensors)
+        return columns if self.axes is None else columns[list(self.axes)]
+
+    def call(self, x: Array, u: Array, t: float) -> Array:
+        """The function at states `(..., nx)`, checked.
+
+        Raises:
+            ScenarioError: it raised, or returned another shape.
+        """
+        assert self.function is not None
+        u = np.broadcast_to(u if u.ndim == x.ndim else u[:, None], (*x.shape[:-1], u.shape[-1]))
+        try:
+            y = np.asarray(self.function(x.copy(), u, t), dtype=np.float64)
+        except Exception as error:  # a user's function may raise anything
+            raise ScenarioError(
+                f"{self.name} raised for x of shape {x.shape}: {user_error_location(error)}"
+            ) from None
+        expected = (*x.shape[:-1], self.space.nx)
+        if y.shape != expected:
+            raise ScenarioError(
+                f"{self.name} returned shape {y.shape} for x of shape {x.shape}; expected "
+                f"{expected}: index the state as x[..., i] and keep the last axis"
+            )
+        return y
+
+
+class Plan:
+    """How to read some channels together: one pass of MuJoCo for all of its sensors, or none.
+
+    Args:
+        model: compiled MuJoCo model.
+        sources: one a channel, in order.
+
+    Attributes:
+        space: the manifold of the readings.
+        known: where the readings are numbers of the state and nothing else (joint encoders and
+            tachometers): which of x `(ny,)`, and the Jacobian H `(ny, n)`; else None.
+        reach: how many tangent coordinates, from the first on, the readings can depend on.
+    """
+
+    def __init__(self, model: mujoco.MjModel, sources: Sequence[Measurand]):
+        self.space = product([s.space for s in sources])
+        sensors = [i for s in sources for i in s.sensors]
+        parts = [s.columns(model) for s in sources]
+        self._columns = np.concatenate(parts) if parts else np.zeros(0, np.intp)
+        self._stage = needed_stage(model, sensors)
+        self._sources = tuple(sources) if any(s.function for s in sources) else ()
+        self.known = None if self._sources else _coordinates(model, sensors, self._columns)
+        nv, na = model.nv, model.na
+        reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position shows no velocity
+        self.reach = reach[-1] if self._sources else reach[self._stage]
+
+    def read(self, rows: Rows, x: Array, u: Array, t: float) -> Array:
+        """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
+        if self.known is not None:
+            return x[..., self.known[0]]
+        if not self._sources:
+            return rows.read(x, u, t, self._stage, self._columns)
+        sensed, start = np.empty((*x.shape[:-1], 0)), 0
+        if len(self._columns):
+            sensed = rows.read(x, u, t, self._stage, self._columns)
+        parts = []
+        for source in self._sources:
+            if source.function is not None:
+                parts.append(source.call(x, u, t))
+                continue
+            parts.append(sensed[..., start : start + source.space.nx])
+            start += source.space.nx
+        return np.concatenate(parts, axis=-1)
+
+
+def _coordinates(
+    model: mujoco.MjModel, sensors: Sequence[int], columns: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], Array] | None:
+    """See `Plan.known`."""
+    kinds = {mujoco.mjtSensor.mjSENS_JOINTPOS: 0, mujoco.mjtSensor.mjSENS_JOINTVEL: 1}
+    found = {}
+    for i in sensors:
+        kind = kinds.get(mujoco.mjtSensor(model.sensor_type[i]))
+        if kind is None or model.sensor_cutoff[i] > 0:
+            return None
+        joint = model.sensor_objid[i]
+        dof = model.jnt_dofadr[joint]
+        found[model.sensor_adr[i]] = (
+            (model.nq + dof, model.nv + dof) if kind else (model.jnt_qposadr[joint], dof)
+        )
+    pairs = np.array([found[c] for c in columns], np.intp).reshape(-1, 2)
+    return pairs[:, 0], np.eye(2 * model.nv + model.na)[pairs[:, 1]]
+
+
+def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:
+    """Columns of sensordata that hold the sensors' readings, in order."""
+    parts = [np.arange(model.sensor_dim[i]) + model.sensor_adr[i] for i in sensors]
+    return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
+
+
+def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
+    """The highest pipeline stage (mjtStage) that the sensors need."""
+    return max((_stage(model, i) for i in sensors), default=0)
+
+
+def _stage(model: mujoco.MjModel, sensor: int) -> int:
+    stage = int(model.sensor_needstage[sensor])
+    if model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_E_KINETIC:
+        # Declared as position stage, but its velocity part is then another row's.
+        stage = max(stage, int(mujoco.mjtStage.mjSTAGE_VEL))
+    return stage

@@ -1,0 +1,196 @@
+"""Reading an MJCF and compiling the copies that the truth and the filter step.
+
+Three things are changed in every copy: warm starts are off, so that a step is a function of
+(x, u) alone; automatic resets are off, so that a state that blew up never passes for a pose; and
+controls are not clamped inside MuJoCo but before the actuator noise is added (`clamp`).
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from estbench.errors import ScenarioError, did_you_mean
+from estbench.robots import added_sensors
+from estbench.robots.parameters import changed
+from estbench.shapes import Array
+
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+
+
+def locate(path: str) -> Path:
+    """The file of `package:path/in/package` or of a plain path.
+
+    Raises:
+        ScenarioError: the package is not installed, or there is no such file.
+    """
+    package, colon, inside = path.partition(":")
+    if colon and len(package) > 1:  # one letter is a Windows drive
+        try:
+            file = Path(str(resources.files(package) / inside))
+        except ModuleNotFoundError:
+            raise ScenarioError(
+                f"model.path '{path}': package '{package}' is not installed"
+            ) from None
+    else:
+        file = Path(path)
+    if not file.is_file():
+        raise ScenarioError(f"model.path '{path}': no file {file}")
+    return file
+
+
+def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:
+    """The editable model of an MJCF with sensors added to it.
+
+    Args:
+        path: as for `locate`.
+        sensors: name -> object with `type`, `object`, `object_type` (see `sections.AddSensor`).
+
+    Raises:
+        ScenarioError: the MJCF cannot be parsed, or a sensor cannot be added.
+    """
+    file = locate(path)
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise ScenarioError(f"{file} is not a valid MJCF: {_one_line(error)}") from None
+    added_sensors.add(spec, sensors or {}, file.name)
+    return spec
+
+
+def compile_model(
+    spec: mujoco.MjSpec,
+    *,
+    timestep: float | None = None,
+    integrator: str | None = None,
+    settings: Mapping[str, float | Sequence[float]] | None = None,
+    where: str = "model",
+) -> mujoco.MjModel:
+    """Compile without delays and histories, and apply the overrides.
+
+    MuJoCo's own sensor `interval`, `delay` and `nsample` are cleared: estbench applies rates and
+    delays itself, on noise-free readings. Actuator delays cannot be cleared without changing the
+    robot, so they are refused.
+
+    Raises:
+        ScenarioError: it does not compile, has actuator delays, or an override names nothing.
+    """
+    try:
+        # Before the copy: `MjSpec.copy` drops, without a word, whatever refers to nothing.
+        spec.compile()
+        spec = spec.copy()
+        for sensor in spec.sensors:
+            sensor.nsample, sensor.delay, sensor.interval = 0, 0.0, [0.0, 0.0]
+        for actuator in spec.actuators:
+            if actuator.nsample > 0:
+                raise ScenarioError(
+                    f"actuator '{actuator.name}' has nsample={actuator.nsample}: its delay is a "
+                    "hidden state that no estimator sees; remove nsample and delay from the MJCF"
+                )
+        model = spec.compile()
+    except ValueError as error:
+        raise ScenarioError(f"{where}: MJCF does not compile: {_one_line(error)}") from None
+    if timestep is not None:
+        model.opt.timestep = timestep
+    if integrator is not None:
+        model.opt.integrator = INTEGRATORS[integrator]
+    if settings:
+        model = changed(model, settings, f"{where}.set")
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= (
+        flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
+    )
+    # With this flag the energy sensors of a row would read another row's energies.
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    return model
+
+
+Use = Literal["step", "look", "feel"]
+"""Of a model: stepping; sensors of position and velocity; sensors of force and acceleration."""
+
+# They read constraints, or may read anything, at a stage before the constraint forces are known.
+_TOUCHY = [
+    getattr(mujoco.mjtSensor, f"mjSENS_{name}")
+    for name in (
+        "JOINTLIMITPOS", "JOINTLIMITVEL", "TENDONLIMITPOS", "TENDONLIMITVEL", "CONTACT", "USER",
+        "PLUGIN",
+    )
+]  # fmt: skip
+
+
+def lean(model: mujoco.MjModel, use: Use) -> mujoco.MjModel:
+    """A copy that leaves out work which cannot change what it is used for, to the last bit.
+
+    Sensors where none is read; collision detection where no pair of geoms may collide or no
+    sensor in use can tell; constraints where besides nothing is limited, tied or rubs. For a small
+    robot this is a quarter of a step.
+    """
+    flags = mujoco.mjtDisableBit
+    skip = 0
+    if use == "step" and not model.nplugin:
+        skip |= int(flags.mjDSBL_SENSOR)
+    blind = use == "look" and not np.isin(model.sensor_type, _TOUCHY).any()
+    groups = (model.geom_contype, model.geom_conaffinity)
+    contype, conaffinity = (np.bitwise_or.reduce(g, initial=0) for g in groups)
+    if blind or not (contype & conaffinity or model.npair or model.nflex):
+        skip |= int(flags.mjDSBL_CONTACT)
+        constraints = (
+            model.jnt_limited, model.tendon_limited, model.dof_frictionloss,
+            model.tendon_frictionloss, model.nplugin, model.neq,
+        )  # fmt: skip
+        if blind or not any(np.any(c) for c in constraints):
+            skip |= int(flags.mjDSBL_CONSTRAINT)
+    out = copy.copy(model)
+    out.opt.disableflags |= skip
+    return out
+
+
+def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array]:
+    """State (qpos, qvel, act) `(nx,)` and control `(nu,)` of a keyframe.
+
+    None takes the first keyframe, or without one qpos0 at rest and zero control.
+
+    Raises:
+        ScenarioError: there is no such keyframe.
+    """
+    names = [model.key(i).name for i in range(model.nkey)]
+    if key is None:
+        if not model.nkey:
+            x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+            return x, np.zeros(model.nu)
+        key = 0
+    index = names.index(key) if key in names else key if isinstance(key, int) else -1
+    if not 0 <= index < model.nkey:
+        known = [name or str(i) for i, name in enumerate(names)]
+        hint = did_you_mean(str(key), known) or "; the MJCF has none: leave model.keyframe out"
+        raise ScenarioError(f"model.keyframe: no keyframe '{key}'{hint}")
+    x = np.concatenate([model.key_qpos[index], model.key_qvel[index], model.key_act[index]])
+    return x, model.key_ctrl[index].copy()
+
+
+def control_limits(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """Lowest and highest control of each actuator `(nu,)`, infinite where there is no limit."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
+    return low, np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
+
+
+def clamp(model: mujoco.MjModel, u: Array) -> Array:
+    """Controls `(..., nu)` clipped to the actuators' ctrlrange, as MuJoCo would."""
+    if not model.actuator_ctrllimited.any():
+        return u
+    low, high = control_limits(model)
+    return np.minimum(np.maximum(u, low), high)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

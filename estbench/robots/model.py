@@ -1,0 +1,222 @@
+"""A MuJoCo model as a state-space model: steps, flow, sensors and Jacobians, batched over runs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from estbench.errors import DimensionError, ScenarioError, did_you_mean
+from estbench.models.differences import Differences
+from estbench.models.protocol import Channels
+from estbench.robots import layout, mjcf
+from estbench.robots.batch import Rows
+from estbench.robots.disturbance import Disturbance
+from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
+from estbench.shapes import Array
+from estbench.spaces.linalg import rescaled
+from estbench.spaces.manifold import Manifold
+
+__all__ = ["MujocoModel", "SensorChannel", "needed_stage", "sensor_columns", "whole_steps"]
+
+Scale = Callable[[float], float | Array]
+
+
+@dataclass(frozen=True, eq=False)
+class SensorChannel:
+    """One channel as the filter believes it.
+
+    Attributes:
+        name: the channel's name.
+        index: the MuJoCo sensor; any number where `source` is given.
+        cov: R `(m, m)` in the tangent of the reading.
+        scale: over time, a factor on the noise's std (one, or one an axis) or R itself `(m, m)`;
+            None for a constant.
+        source: what it reads, where that is not one sensor.
+    """
+
+    name: str
+    index: int
+    cov: Array
+    scale: Scale | None = None
+    source: Measurand | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Selection:
+    """What is needed to read a set of channels: what they read, and R."""
+
+    plan: Plan
+    R: Array
+    scales: tuple[tuple[slice, Scale], ...]
+
+
+class MujocoModel:
+    """x⁺ = `mj_step`ᵏ(x, u) ⊞ w, y = sensordata(x, u) ⊞ v.
+
+    A transition over dt is dt/timestep physics steps; only the forward stage that the channels in
+    use need is computed for a measurement. Jacobians are differences of whole steps in the tangent
+    space, so every integrator, actuator and sensor type works. It is a `ContinuousModel` too.
+
+    Args:
+        model: compiled by `mjcf.compile_model` (no warm start, no automatic reset, no clamping).
+        channels: the sensors in use.
+        disturbance: process noise.
+        differences: scheme and step of the Jacobians.
+        nthread: threads of the batch.
+        u0: nominal control `(nu,)`, about which a `KF` linearizes; default zeros.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        channels: Sequence[SensorChannel],
+        disturbance: Disturbance,
+        differences: Differences | None = None,
+        nthread: int = 1,
+        u0: Array | None = None,
+    ):
+        self.mjmodel = model
+        self.u0 = np.zeros(model.nu) if u0 is None else u0
+        self.channels = tuple(channels)
+        self.disturbance = disturbance
+        self.differences = differences or Differences()
+        self._space = layout.state_space(model)
+        self._rates = Manifold.euclidean(self._space.n)
+        self._rows = Rows(model, nthread)
+        self._limits = mjcf.control_limits(model)
+        self._selections: dict[tuple[str, ...] | None, _Selection] = {}
+        self._steps: dict[float, int] = {}
+
+    @property
+    def space(self) -> Manifold:
+        """The manifold of (qpos, qvel, act)."""
+        return self._space
+
+    @property
+    def nu(self) -> int:
+        """Count of controls."""
+        return self.mjmodel.nu
+
+    def output(self, channels: Channels = None) -> Manifold:
+        """The manifold of the channels' readings."""
+        return self._select(channels).plan.space
+
+    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
+        """X after dt/timestep physics steps; NaN where MuJoCo could not go on."""
+        return self._rows.step(x, self._clamp(u), t, self.steps(dt))
+
+    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
+        """f(x) and Φ by differences of whole transitions."""
+        return self.differences.jacobian(
+            lambda points: self.transition(points, u, t, dt), self._space, self._space, x
+        )
+
+    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
+        """Q of the disturbance over dt."""
+        return self.disturbance.covariance(
+            self._rows, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+        )
+
+    def flow(self, x: Array, u: Array, t: float) -> Array:
+        """ẋ = (q̇, q̈, ȧ) `(..., n)` of the forward dynamics, without what the integrator adds."""
+        return self._rows.flow(x, self._clamp(u), t)
+
+    def flow_jacobian(self, x: Array, u: Array, t: float) -> tuple[Array, Array]:
+        """ẋ and ∂ẋ(x ⊞ δ)/∂δ by differences."""
+        return self.differences.jacobian(
+            lambda points: self.flow(points, u, t), self._space, self._rates, x
+        )
+
+    def spectral_density(self, x: Array, u: Array, t: float) -> Array:
+        """Q_s of the disturbance as noise on ẋ."""
+        return self.disturbance.intensity(self._rows, self._space, x, self._clamp(u), t)
+
+    def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
+        """The readings at x under the control u, undisturbed."""
+        return self._select(channels).plan.read(self._rows, x, self._clamp(u), t)
+
+    def measurement_jacobian(
+        self, x: Array, u: Array, t: float, channels: Channels = None
+    ) -> tuple[Array, Array]:
+        """h(x) and H, by differences where the readings are more than numbers of the state."""
+        plan = self._select(channels).plan
+        if plan.known is not None:
+            point, H = plan.known
+            return x[:, point], H[None].repeat(len(x), axis=0)
+        return self.differences.jacobian(
+            lambda points: self.measurement(points, u, t, channels),
+            self._space, plan.space, x, plan.reach,
+        )  # fmt: skip
+
+    def measurement_noise(self, t: float, channels: Channels = None) -> Array:
+        """R, block-diagonal over the channels."""
+        chosen = self._select(channels)
+        if not chosen.scales:
+            return chosen.R
+        R = chosen.R.copy()
+        for block, scale in chosen.scales:
+            R[block, block] = rescaled(R[block, block], scale(t))
+        return R
+
+    def steps(self, dt: float) -> int:
+        """Physics steps in dt.
+
+        Raises:
+            ScenarioError: dt is not a positive multiple of the timestep.
+        """
+        if dt not in self._steps:
+            self._steps[dt] = whole_steps(dt, self.mjmodel.opt.timestep, "dt")
+        return self._steps[dt]
+
+    def _clamp(self, u: Array) -> Array:
+        if u.shape[-1] != self.nu:
+            raise DimensionError(f"u has {u.shape[-1]} controls; expected {self.nu}")
+        return np.minimum(np.maximum(u, self._limits[0]), self._limits[1])
+
+    def _select(self, names: Channels) -> _Selection:
+        key = None if names is None else tuple(names)
+        if key not in self._selections:
+            self._selections[key] = self._build_selection(key)
+        return self._selections[key]
+
+    def _build_selection(self, names: tuple[str, ...] | None) -> _Selection:
+        known = {c.name: c for c in self.channels}
+        for name in names or ():
+            if name not in known:
+                raise ScenarioError(f"no channel '{name}'{did_you_mean(name, known)}")
+        chosen = self.channels if names is None else [known[name] for name in names]
+        sources = [c.source or Measurand.of_sensors(self.mjmodel, c.index) for c in chosen]
+        plan = Plan(self.mjmodel, sources)
+        R = np.zeros((plan.space.n, plan.space.n))
+        scales = []
+        start = 0
+        for channel, source in zip(chosen, sources):
+            width = source.space.n
+            if channel.cov.shape != (width, width):
+                raise DimensionError(
+                    f"channel '{channel.name}': R has shape {channel.cov.shape}; "
+                    f"expected {(width, width)}"
+                )
+            block = slice(start, start + width)
+            R[block, block] = channel.cov
+            if channel.scale is not None:
+                scales.append((block, channel.scale))
+            start = block.stop
+        return _Selection(plan, R, tuple(scales))
+
+
+def whole_steps(dt: float, timestep: float, what: str) -> int:
+    """Dt as a count of physics steps.
+
+    Raises:
+        ScenarioError: dt is not a positive multiple of the timestep.
+    """
+    ratio = dt / timestep
+    steps = round(ratio)
+    if steps < 1 or abs(ratio - steps) > 1e-6 * max(1.0, ratio):
+        raise ScenarioError(
+            f"{what} = {dt:g} s is not a multiple of the timestep {timestep:g} s "
+            f"(nearest: {max(steps, 1) * timestep:g} s)"
+        )
+    return steps

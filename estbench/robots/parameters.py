@@ -1,0 +1,159 @@
+"""Parameters of a compiled model by name: finding, setting and drawing them.
+
+MuJoCo checks masses when it compiles an MJCF; a parameter that is set afterwards it takes as it
+comes. What no robot can have is refused here.
+"""
+
+import copy
+import re
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from estbench.errors import ScenarioError, did_you_mean
+from estbench.shapes import Array
+
+LIMIT = 4.5
+"""Standard deviations beyond which no parameter is drawn: 7 normal draws in a million are."""
+
+SETTINGS = re.compile(r"(contype|conaffinity|condim|priority|limited|gravcomp|active0)$")
+"""Integer fields that may be set on a compiled model; the rest are types, addresses and counts."""
+
+# Damping and stiffness may be negative: some mean it.
+_NOT_NEGATIVE = {
+    "body_mass", "body_inertia", "dof_armature", "dof_frictionloss", "tendon_armature",
+    "tendon_frictionloss", "actuator_armature", "geom_size", "geom_friction",
+}  # fmt: skip
+
+_PREFIXES = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
+    "dof": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+}
+_N = {"body": "body", "geom": "geom", "actuator": "u", "tendon": "tendon", "site": "site",
+      "jnt": "jnt", "dof": "jnt"}  # fmt: skip
+
+
+def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | slice]:
+    """Field name and row(s) of `field.object`, e.g. `body_mass.pole`, `dof_damping.hinge`.
+
+    Raises:
+        ScenarioError: unknown field or object.
+    """
+    field, _, name = key.partition(".")
+    prefix = field.split("_")[0]
+    fields = [f for f in dir(model) if f.split("_")[0] in _PREFIXES and "_" in f]
+    if field not in fields:
+        raise ScenarioError(f"{where}: no model field '{field}'{did_you_mean(field, fields)}")
+    if getattr(model, field).dtype.kind != "f" and not SETTINGS.search(field):
+        raise ScenarioError(f"{where}: '{field}' is no parameter but structure; change the MJCF")
+    kind = _PREFIXES[prefix]
+    index = mujoco.mj_name2id(model, kind, name)
+    if index < 0:
+        count = {"dof": model.njnt, "jnt": model.njnt}.get(prefix, getattr(model, f"n{_N[prefix]}"))
+        names = [mujoco.mj_id2name(model, kind, i) or "" for i in range(count)]
+        raise ScenarioError(f"{where}: '{key}': no {prefix} '{name}'{did_you_mean(name, names)}")
+    if prefix != "dof":
+        return field, index
+    start = int(model.jnt_dofadr[index])
+    width = {0: 6, 1: 3}.get(int(model.jnt_type[index]), 1)
+    return field, slice(start, start + width)
+
+
+def changed(
+    model: mujoco.MjModel, settings: Mapping[str, float | Sequence[float]], where: str
+) -> mujoco.MjModel:
+    """A copy of a compiled model with `field.object` -> value set and what follows from it.
+
+    Without any setting it is the model itself.
+
+    Raises:
+        ScenarioError: settings name nothing, or have values that no robot can have; all are named.
+    """
+    if not settings:
+        return model
+    model, mistakes, assigned = copy.copy(model), [], {}
+    for key, value in settings.items():
+        try:
+            assign(model, key, value, where)
+            assigned[key] = value
+        except ScenarioError as error:
+            mistakes.append(str(error))
+    for key, value in assigned.items():  # a body may have its mass from one welded to it
+        wrong = flaw(model, *parameter(model, key, where))
+        if wrong:
+            mistakes.append(f"{where}: '{key}' is {value}: {wrong}; change it, or leave it out")
+    if mistakes:
+        raise ScenarioError("; ".join(mistakes))
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def assign(
+    model: mujoco.MjModel, key: str, value: float | Sequence[float], where: str = "set"
+) -> None:
+    """Set `field.object` of a compiled model; a scalar fills a row."""
+    field, rows = parameter(model, key, where)
+    target = getattr(model, field)
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+        target[rows] = np.where(np.isfinite(numbers), numbers, 0.0)
+    except (TypeError, ValueError):
+        got = repr(value) if isinstance(value, str) else np.size(value)
+        raise ScenarioError(
+            f"{where}: '{key}' takes {np.size(target[rows])} numbers, got {got}"
+        ) from None
+    if not np.isfinite(numbers).all():
+        raise ScenarioError(f"{where}: '{key}' is {value}; use finite numbers")
+
+
+def check_draw(model: mujoco.MjModel, key: str, relative_std: float, std: float) -> None:
+    """Refuse a parameter drawn so widely that some run's robot could not be.
+
+    Raises:
+        ScenarioError: the key names nothing, or the lowest value that may be drawn is no robot's.
+    """
+    field, rows = parameter(model, key, "truth.draw")
+    model = copy.copy(model)
+    values = getattr(model, field)
+    values[rows] = lowest = drawn(values[rows], relative_std, std, np.array(-LIMIT))[0]
+    wrong = flaw(model, field, rows)
+    if wrong:
+        raise ScenarioError(
+            f"truth.draw: '{key}' may be drawn as {np.min(lowest):.3g}, {LIMIT:g} standard "
+            f"deviations below its nominal value: {wrong}; lower its relative_std or std"
+        )
+
+
+def drawn(nominal: Array, relative_std: float, std: float, z: Array) -> Array:
+    """Values nominal (1 + relative_std z) + std z `(run, ...)` of standard normals z `(run,)`.
+
+    z beyond ± `LIMIT` is taken as ± `LIMIT`, so that `flaw` at the lowest value holds for all.
+    """
+    z = np.clip(z, -LIMIT, LIMIT).reshape(-1, *([1] * np.ndim(nominal)))
+    return nominal * (1 + relative_std * z) + std * z
+
+
+def flaw(model: mujoco.MjModel, field: str, rows: int | slice) -> str | None:
+    """What is wrong with a parameter that has been set, in words; None where a robot can have it.
+
+    A moving body has mass and inertia, its own or that of the bodies welded to it, as MuJoCo's
+    compiler wants it.
+    """
+    value = getattr(model, field)[rows]
+    if field in _NOT_NEGATIVE and (value < 0).any():
+        return f"{field} cannot be negative"
+    if field not in ("body_mass", "body_inertia"):
+        return None
+    if field == "body_inertia" and 2 * value.max() > value.sum() * (1 + 1e-9):
+        return "a principal moment of inertia cannot exceed the sum of the two others"
+    root = model.body_weldid[rows]
+    there = np.c_[model.body_mass, model.body_inertia] >= mujoco.mjMINVAL
+    if model.body_dofnum[root] and not there[model.body_weldid == root].all(axis=1).any():
+        return f"a moving body needs a {field} above 0"
+    return None

@@ -1,0 +1,274 @@
+"""Reading a scenario: a bundled name, a TOML file, a results folder or a bare MJCF."""
+
+import tomllib
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from estbench.errors import EstimatorError, ScenarioError, did_you_mean
+from estbench.estimators import registry
+from estbench.scenario.mistakes import explain
+from estbench.scenario.schema import Scenario, SimulationSection, StartSection
+
+__all__ = ["Scenario", "bundled", "changes", "load", "override", "parse", "resolve", "start"]
+
+
+def bundled() -> dict[str, Path]:
+    """The scenarios that ship with estbench: name -> path of its TOML file.
+
+    `assets/NAME/scenario.toml` is NAME; another `assets/NAME/OTHER.toml` is OTHER.
+    """
+    root = Path(str(resources.files("estbench") / "assets"))
+    found = {}
+    for path in sorted(root.glob("*/*.toml")):
+        found[path.parent.name if path.stem == "scenario" else path.stem] = path
+    return found
+
+
+def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario: a bundled name, a TOML file, a results folder, or a bare MJCF.
+
+    Args:
+        source: name or path.
+        overrides: `section.key=value` strings, values in TOML syntax (bare words are strings).
+
+    Raises:
+        ScenarioError: there is no such scenario, or it does not validate; every mistake is named.
+    """
+    path = _find(source)
+    if path.suffix.lower() == ".xml":
+        data: dict[str, Any] = {"name": path.stem, "model": {"path": path.name}}
+    else:
+        data = _read_toml(path)
+    _resolve_paths(data, path.parent)
+    return _validate(data, overrides, str(source))
+
+
+def parse(toml: str) -> Scenario:
+    """The scenario of a resolved TOML text, as `Scenario.to_toml` writes it."""
+    return Scenario.model_validate(tomllib.loads(toml))
+
+
+def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """The scenario with `section.key=value` strings applied.
+
+    Raises:
+        ScenarioError: the result does not validate.
+    """
+    if not overrides:
+        return scenario
+    return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
+
+
+Chosen = str | type | Sequence[str | type]
+"""Estimators to run: a label, a name or a class, or several of them."""
+
+
+def resolve(
+    scenario: str | Path | Scenario,
+    estimators: Chosen | None = None,
+    runs: int | None = None,
+    seed: int | None = None,
+    duration: float | None = None,
+    overrides: Sequence[str] = (),
+) -> Scenario:
+    """The scenario of `experiment.run`'s arguments.
+
+    Args:
+        scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
+        estimators: labels, names or classes to run in place of the scenario's; the label of a
+            class is its own name, and the table of that label holds its settings.
+        runs: Monte Carlo runs, in place of the scenario's.
+        seed: in place of the scenario's.
+        duration: s, in place of the scenario's.
+        overrides: `section.key=value` strings.
+
+    Raises:
+        ScenarioError: there is no such scenario, it does not validate, or an override is of an
+            estimator that is not run.
+        EstimatorError: an estimator is not known, named twice, or its label is another's.
+    """
+    simulation = {"runs": runs, "seed": seed, "duration": duration}
+    options = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None]
+    _check_options(options)
+    overrides = [*options, *overrides]
+    if isinstance(scenario, Scenario):
+        resolved = override(scenario, overrides)
+    else:
+        resolved = load(scenario, overrides)
+    if estimators:
+        chosen = _chosen(estimators, resolved.estimators)
+        resolved = resolved.model_copy(update={"estimators": chosen})
+    for text in overrides:
+        section, *label = _parsed(text)[0][:2]
+        if section == "estimators" and label and label[0] not in resolved.estimators:
+            raise ScenarioError(
+                f"--set {text!r} has no effect: '{label[0]}' is not run; the estimators that run "
+                f"are {', '.join(resolved.estimators)}"
+            )
+    if "truth" in resolved.estimators:
+        raise ScenarioError("estimators.truth: the label 'truth' is taken; choose another")
+    return resolved
+
+
+def _check_options(options: Sequence[str]) -> None:
+    """Refuse a bad --runs, --seed or --duration by its own name: the file is not to blame."""
+    given: dict[str, Any] = {}
+    for text in options:
+        _apply(given, text)
+    try:
+        SimulationSection.model_validate(given.get("simulation", {}))
+    except ValidationError as error:
+        raise ScenarioError(
+            "; ".join(f"--{mistake}" for mistake in explain(error, SimulationSection))
+        ) from None
+
+
+def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Label -> settings of the estimators to run, with the tables that the scenario has of them."""
+    several = [estimators] if isinstance(estimators, str | type) else estimators
+    chosen: dict[str, dict[str, Any]] = {}
+    for name in map(registry.name_of, several):
+        if name not in known and ":" not in name and name not in registry.known():
+            hint = did_you_mean(name, {**registry.known(), **known})
+            raise EstimatorError(f"no estimator '{name}'{hint}")
+        label = name.rpartition(":")[2]
+        if not label:
+            raise EstimatorError(
+                f"estimator '{name}': the name after the colon is missing; use package.module:Name"
+            )
+        if label in chosen:
+            raise EstimatorError(f"estimator '{label}' is named twice; give each its own label")
+        own = known.get(label, {})
+        if label != name and own.get("type", name) != name:
+            raise EstimatorError(
+                f"estimator '{name}': the label '{label}' is that of the scenario's "
+                f"{own['type']!r}; choose that label, or give one of them another name"
+            )
+        chosen[label] = own if label == name else {**own, "type": name}
+    return chosen
+
+
+def start(scenario: Scenario, label: str) -> StartSection:
+    """How the estimator of a label starts: the scenario's [start], changed by its own table.
+
+    Raises:
+        ScenarioError: its `start` is not a table, or does not validate.
+    """
+    own = scenario.estimators[label].get("start", {})
+    if not isinstance(own, dict):
+        raise ScenarioError(
+            f"estimators.{label}.start is {own!r}; use a table, e.g. start = {{inflate = 10.0}}"
+        )
+    try:
+        return StartSection.model_validate(scenario.start.model_dump() | own)
+    except ValidationError as error:
+        found = explain(error, StartSection)
+        raise ScenarioError(
+            "; ".join(f"estimators.{label}.start.{mistake}" for mistake in found)
+        ) from None
+
+
+def changes(before: Any, now: Any, key: str = "") -> list[tuple[str, Any, Any]]:
+    """Where two nested tables differ: dotted key, and the value before and now (None without)."""
+    if not isinstance(before, dict) or not isinstance(now, dict):
+        return [] if before == now else [(key, before, now)]
+    return [
+        change
+        for k in sorted({*before, *now})
+        for change in changes(before.get(k), now.get(k), f"{key}.{k}".lstrip("."))
+    ]
+
+
+def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Scenario:
+    """Apply the overrides (their paths are relative to the current folder) and validate."""
+    for text in overrides:
+        _apply(data, text)
+    _resolve_paths(data, Path.cwd())
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError(f"{source}: " + "; ".join(explain(error, Scenario))) from None
+
+
+def _find(source: str | Path) -> Path:
+    path = Path(source)
+    if path.is_dir() and (path / "scenario.toml").is_file():
+        return path / "scenario.toml"
+    if path.is_file() and path.suffix.lower() in (".toml", ".xml"):
+        return path.resolve()
+    if path.is_file():
+        raise ScenarioError(f"{source} is neither .toml nor .xml; name a scenario or an MJCF file")
+    known = bundled()
+    if str(source) in known:
+        return known[str(source)]
+    near = [
+        f"'{path}{suffix}'" for suffix in (".toml", ".xml") if Path(f"{path}{suffix}").is_file()
+    ]
+    if near:
+        raise ScenarioError(f"no scenario '{source}' (did you mean {' or '.join(near)}?)")
+    kind = "file" if path.suffix in (".toml", ".xml") else "scenario"
+    raise ScenarioError(f"no {kind} '{source}'{did_you_mean(str(source), known)}")
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name} is not valid TOML: {error}") from None
+    except OSError as error:
+        raise ScenarioError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _apply(data: dict[str, Any], override: str) -> None:
+    """Set one `a.b.c=value` in nested tables."""
+    (*sections, last), value = _parsed(override)
+    table = data
+    for part in sections:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {override!r}: '{part}' is a value, not a section")
+    table[last] = value
+
+
+def _parsed(override: str) -> tuple[list[str], Any]:
+    """The parts of the key of `a.b.c=value` (a quoted one may hold dots or globs), the value."""
+    key, equals, text = override.partition("=")
+    if not equals or not key.strip():
+        raise ScenarioError(f"--set {override!r} is not of the form section.key=value")
+    try:
+        value = tomllib.loads(f"v = {text}")["v"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    try:
+        parts = tomllib.loads(f"{key} = 0")
+        if not parts:  # a comment
+            raise tomllib.TOMLDecodeError
+    except tomllib.TOMLDecodeError:
+        raise ScenarioError(f"--set {override!r}: '{key}' is not a dotted TOML key") from None
+    names: list[str] = []
+    while isinstance(parts, dict):
+        ((part, parts),) = parts.items()
+        names.append(part)
+    return names, value
+
+
+def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
+    """Make relative files absolute, so that the saved scenario still finds them."""
+    for section in ("model", "filter", "control"):
+        table = data.get(section)
+        if isinstance(table, dict) and isinstance(path := table.get("path"), str):
+            is_file = ":" not in path.split("/")[0]
+            table["path"] = _portable(folder / path) if is_file else path
+
+
+def _portable(path: Path) -> str:
+    """`estbench:assets/...` for a file that ships with estbench, else the absolute path."""
+    root = Path(str(resources.files("estbench") / "assets")).resolve()
+    resolved = path.resolve()
+    if resolved.is_relative_to(root):
+        return f"estbench:assets/{resolved.relative_to(root).as_posix()}"
+    return str(resolved)

@@ -1,0 +1,57 @@
+"""What is wrong with a scenario, in words: every mistake at once, each with its path."""
+
+import re
+from typing import Any, get_args
+
+from pydantic import ValidationError
+
+from estbench.errors import did_you_mean
+from estbench.scenario.schema import Section
+
+_OTHER = {"string_type", "list_type", "float_type", "int_type", "dict_type"}
+_BRANCH = re.compile(r"(float|str|int|list|dict|tuple|function-after|constrained-\w+)\b(\[.*)?")
+
+
+def explain(error: ValidationError, root: type[Section]) -> list[str]:
+    """The mistakes found in a section of class `root`, each as `path: what is wrong`."""
+    return [_explain(e, root) for e in _meant(error)]
+
+
+def _meant(error: ValidationError) -> list[Any]:
+    """The errors of a validation, without the names of a union's branches and those not meant."""
+    found = []
+    for e in error.errors():
+        own = tuple(p for p in e["loc"] if isinstance(p, int) or not _BRANCH.fullmatch(p))
+        found.append({**e, "loc": own, "other": e["type"] in _OTHER})
+    # A number that is wrong is no list either: one mistake, and that is the number.
+    meant = [e["loc"] for e in found if not e["other"]]
+    kept: dict[tuple[Any, ...], Any] = {}
+    for e in found:
+        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in meant):
+            kept.setdefault(e["loc"], e)
+    return list(kept.values())
+
+
+def _explain(error: Any, root: type[Section]) -> str:
+    """One mistake as `path: what is wrong (did you mean ...)`."""
+    where = ".".join(str(part) for part in error["loc"]) or "scenario"
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "extra_forbidden":
+        section: Any = root
+        for part in error["loc"][:-1]:
+            section = _inside(section, part)
+        known = getattr(section, "model_fields", {})
+        return f"{where}: unknown key{did_you_mean(str(error['loc'][-1]), known)}"
+    given = error.get("input")
+    shown = f", got {given!r}" if isinstance(given, str | int | float | bool) else ""
+    return f"{where}: {message}{shown}"
+
+
+def _inside(section: Any, key: Any) -> Any:
+    """The section class found under `key` of a section or of a table of sections."""
+    fields = getattr(section, "model_fields", None)
+    annotation = fields[key].annotation if fields and key in fields else section
+    options = [annotation, *get_args(annotation)]
+    options += [arg for option in options for arg in get_args(option)]
+    found = [o for o in options if isinstance(o, type) and issubclass(o, Section)]
+    return found[0] if found else annotation

@@ -1,0 +1,1 @@
+"""One sensor from its true reading to the delivery of a noisy one."""

@@ -1,0 +1,149 @@
+"""Allan deviation: how the mean of a sensor's error over τ differs from that over the next τ.
+
+Source: IEEE Std 952-1997, annex C: the overlapping estimator, and what white noise, a random walk
+and a Gauss-Markov drift make of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estbench.errors import EstbenchError, MissingExtraError
+from estbench.sensors import timing
+from estbench.sensors.channel import Channel
+from estbench.sensors.sampling import Readings
+from estbench.shapes import Array
+
+
+def deviation(
+    values: Array, step: float, taus: Sequence[float] | Array | None = None
+) -> tuple[Array, Array]:
+    """Overlapping Allan deviation of readings of a rate, e.g. of a gyro in rad/s.
+
+    Args:
+        values: readings `(time, ...)`, evenly spaced; the other axes are records of their own.
+        step: between them, s.
+        taus: averaging times, s, rounded to whole steps; default 12 a decade, up to a quarter of
+            the record.
+
+    Returns:
+        τ `(tau,)` in s, and the deviation `(tau, ...)` in the unit of the readings.
+
+    Raises:
+        EstbenchError: fewer than 4 readings, or a τ longer than half the record.
+    """
+    count = len(values)
+    if count < 4:
+        raise EstbenchError(f"the record has {count} readings; an Allan deviation needs at least 4")
+    if taus is None:
+        last = max(1, count // 4)
+        steps = np.unique(np.round(np.geomspace(1, last, 1 + int(12 * np.log10(last + 1)))))
+    else:
+        steps = np.unique(np.round(np.asarray(taus) / step))
+    steps = steps.astype(np.int64)
+    if steps[0] < 1 or 2 * steps[-1] > count:
+        raise EstbenchError(
+            f"tau goes from {steps[0] * step:g} to {steps[-1] * step:g} s; use {step:g} to "
+            f"{count // 2 * step:g} s, half the record"
+        )
+    angle = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    square = []
+    for m in steps.tolist():
+        second = angle[2 * m :] - 2 * angle[m:-m] + angle[: -2 * m]
+        square.append((second**2).mean(axis=0) / (2.0 * m**2))
+    times: Array = (steps * step).astype(np.float64)
+    return times, np.sqrt(np.array(square, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a datasheet says of one axis.
+
+    Attributes:
+        density: white noise, unit/√Hz.
+        walk: random walk of the bias, unit/√s.
+        drift: std of a first-order Gauss-Markov drift, unit.
+        drift_time: its correlation time, s.
+    """
+
+    density: float = 0.0
+    walk: float = 0.0
+    drift: float = 0.0
+    drift_time: float = 1.0
+
+    @classmethod
+    def of(cls, channel: Channel, axis: int = 0) -> "Figures":
+        """Those of a channel's noise and drifts."""
+        period = channel.timing.period * channel.timing.timestep
+        density = float(np.sqrt(channel.cov[axis, axis] * period))
+        part = channel.part
+        if part is None:
+            return cls(density)
+        return cls(density, float(part.walk[axis]), float(part.drift[axis]), part.drift_time)
+
+    def expected(self, taus: Array) -> Array:
+        """The Allan deviation `(tau,)` at averaging times `(tau,)`, s."""
+        tau = np.asarray(taus, dtype=np.float64)
+        r = tau / self.drift_time
+        markov = 2 / r * (1 - (3 - 4 * np.exp(-r) + np.exp(-2 * r)) / (2 * r))
+        return np.sqrt(
+            self.density**2 / tau + self.walk**2 * tau / 3 + self.drift**2 * np.maximum(markov, 0)
+        )
+
+
+def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> Array:
+    """Readings `(reading, run, m)` of a channel whose true reading is zero.
+
+    Raises:
+        EstbenchError: the channel reads an attitude, or loses or delays readings.
+    """
+    part = channel.part
+    if not channel.space.flat or not channel.timing.punctual or (part and part.dropout):
+        raise EstbenchError(
+            f"channel '{channel.name}' has a quaternion, gaps, jitter or latency; an Allan "
+            "deviation needs evenly spaced numbers"
+        )
+    named = [(channel.name, channel.timing)]
+    step = channel.timing.timestep
+    instants = timing.instants(named, step, channel.timing.period, duration)
+    readings = Readings(channel, instants, seed, range(runs))
+    clean = np.zeros((runs, channel.space.n))
+    taken = [k for k in range(len(instants)) if readings.takes(k)]
+    return np.array([readings.at(k, clean)[0].y for k in taken])
+
+
+def plot(channel: Channel, duration: float = 600.0, seed: int = 0, runs: int = 8) -> Any:
+    """A matplotlib figure: each run's Allan deviation at rest, and what the datasheet promises.
+
+    Args:
+        channel: e.g. one of `setup.build(scenario).channels`.
+        duration: of the record, s.
+        seed: of its random numbers.
+        runs: how many records.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        EstbenchError: as `at_rest`.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "plot") from None
+    taus, found = deviation(
+        at_rest(channel, duration, seed, runs), channel.timing.period * channel.timing.timestep
+    )
+    space = channel.space
+    figure = Figure(figsize=(3.4 * space.n + 0.6, 3.4), layout="constrained")
+    for axis, ax in enumerate(figure.subplots(1, space.n, sharey=True, squeeze=False)[0]):
+        ax.loglog(taus, found[:, 0, axis], color="#56B4E9", linewidth=0.8, label="simulated runs")
+        ax.loglog(taus, found[:, 1:, axis], color="#56B4E9", linewidth=0.8)
+        expected = Figures.of(channel, axis).expected(taus)
+        ax.loglog(taus, expected, "--", color="#D55E00", linewidth=1.6, label="datasheet")
+        ax.set_title(space.names[axis], fontsize="medium")
+        ax.set_xlabel("averaging time τ (s)")
+        ax.grid(which="both", color="#dddddd", linewidth=0.4)
+    figure.axes[0].set_ylabel(f"Allan deviation ({space.units[0]})")
+    figure.axes[0].legend(frameon=False, fontsize="small")
+    return figure

@@ -1,0 +1,1 @@
+"""What the true robot does: its controller, its disturbance and its sensors."""

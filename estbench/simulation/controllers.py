@@ -1,0 +1,260 @@
+"""Controllers that excite the robot: u = controller(step, t, x), batched over runs.
+
+A controller may see the true state or an estimate of it. Random ones draw from each run's own
+stream beforehand, so the control of run i depends on nothing but its seed and what it sees.
+"""
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import mujoco
+import numpy as np
+import scipy.linalg
+
+from estbench.errors import ControllerError, DimensionError, EstimatorError, user_error_location
+from estbench.plugins import load_module
+from estbench.randomness import streams
+from estbench.robots import mjcf
+from estbench.robots.batch import Rows
+from estbench.robots.layout import actuator_names
+from estbench.scenario.schema import ControlSection
+from estbench.shapes import Array
+from estbench.spaces.manifold import Manifold
+from estbench.spaces.patterns import expand
+
+Controller = Callable[[int, float, Array], Array]
+"""(filter step, time in s, state `(run, nx)`) -> control `(run, nu)`."""
+
+KINDS = {
+    "none": "hold the keyframe's control (zero without a keyframe)",
+    "constant": "hold `value`",
+    "sine": "`offset` + sum over `frequencies` (Hz) of `amplitude` sin(2πft + its phase)",
+    "random": "`offset` + Gauss-Markov noise of `std` and `time_constant` (s)",
+    "lqr": "regulate to the keyframe; `state_weight`, `control_weight` (scipy's DARE)",
+    "csv": "columns t, then one per actuator, from `path`; held between rows",
+    "user": "`function` = module:function(t, x) -> u, with x (run, nx) and u (run, nu)",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """What a controller may know: the nominal robot.
+
+    Attributes:
+        model: compiled MuJoCo model.
+        space: its state space.
+        x0: keyframe state `(nx,)`.
+        u0: keyframe control `(nu,)`.
+        nstep: physics steps between control updates.
+    """
+
+    model: mujoco.MjModel
+    space: Manifold
+    x0: Array
+    u0: Array
+    nstep: int
+
+    @property
+    def period(self) -> float:
+        """Time between control updates, s."""
+        return self.nstep * float(self.model.opt.timestep)
+
+
+def build(
+    section: ControlSection, plant: Plant, seed: int, runs: Sequence[int], steps: int
+) -> Controller:
+    """The controller of a scenario for some runs.
+
+    Raises:
+        ControllerError: it cannot be made (no stabilizing gain, an unreadable file, ...).
+        DimensionError: a setting has the wrong count of values.
+    """
+    names = actuator_names(plant.model)
+    shape = (len(runs), plant.model.nu)
+    centre = plant.u0 if section.offset == "keyframe" else np.zeros(plant.model.nu)
+    if section.kind == "none":
+        return lambda k, t, x: np.broadcast_to(plant.u0, shape)
+    if section.kind == "constant":
+        if section.value is None:
+            raise ControllerError("control.value is missing; constant needs the control to hold")
+        value = expand(section.value, names, "control.value")
+        return lambda k, t, x: np.broadcast_to(value, shape)
+    if section.kind == "sine":
+        return _sine(section, centre, names, shape)
+    if section.kind == "random":
+        std = expand(section.std, names, "control.std")
+        smooth = _gauss_markov(
+            streams.normals(seed, runs, "control", steps, plant.model.nu),
+            np.exp(-plant.period / section.time_constant),
+        )
+        return lambda k, t, x: centre + std * smooth[k]
+    if section.kind == "lqr":
+        gain = lqr_gain(plant, section)
+        return lambda k, t, x: plant.u0 - plant.space.minus(x, plant.x0) @ gain.T
+    if section.kind == "csv":
+        times, table = _read_csv(section.path, names)
+        return lambda k, t, x: np.broadcast_to(
+            table[max(np.searchsorted(times, t + 1e-9, "right") - 1, 0)], shape
+        )
+    return _user(section.function)
+
+
+def checked(controller: Controller, what: str, nu: int) -> Controller:
+    """The controller with what it raises and returns turned into one clear error."""
+
+    def call(k: int, t: float, x: Array) -> Array:
+        try:
+            # A copy: a user's function may return the same array again, with other numbers in it.
+            u = np.array(controller(k, t, x), dtype=np.float64)
+        except Exception as error:  # a user's function may raise anything
+            raise ControllerError(
+                f"controller '{what}' raised at t = {t:g} s: {user_error_location(error)}"
+            ) from None
+        try:
+            u = np.broadcast_to(u, (len(x), nu))
+        except ValueError:
+            raise ControllerError(
+                f"controller '{what}' returned shape {u.shape}; expected {(len(x), nu)}"
+            ) from None
+        if not np.isfinite(u).all():
+            run = int(np.flatnonzero(~np.isfinite(u).all(axis=1))[0])
+            raise ControllerError(
+                f"controller '{what}' returned a value that is not finite at t = {t:g} s "
+                f"(row {run} of {len(x)}); return finite controls"
+            )
+        return u
+
+    return call
+
+
+def clamped(section: ControlSection, plant: Plant) -> list[str]:
+    """A notice of each actuator that is asked for a control beyond its ctrlrange."""
+    names, model = actuator_names(plant.model), plant.model
+    centre = plant.u0 if section.offset == "keyframe" else np.zeros(model.nu)
+    if section.kind == "constant" and section.value is not None:
+        least = most = expand(section.value, names, "control.value")
+    elif section.kind == "sine":
+        peak = np.abs(expand(section.amplitude, names, "control.amplitude"))
+        peak = peak * len(section.frequencies)
+        least, most = centre - peak, centre + peak
+    elif section.kind == "csv":
+        _, table = _read_csv(section.path, names)
+        least, most = table.min(axis=0), table.max(axis=0)
+    else:
+        return []
+    low, high = mjcf.control_limits(model)
+    slack = 1e-9 * (np.abs(least) + np.abs(most))  # 0.1 + 0.2 is no more than 0.3
+    beyond = np.where(most - slack > high, most, np.where(least + slack < low, least, np.nan))
+    return [
+        f"control goes to {beyond[i]:g} on {names[i]}, whose ctrlrange is [{low[i]:g}, "
+        f"{high[i]:g}]: it is clamped"
+        for i in np.flatnonzero(~np.isnan(beyond))
+    ]
+
+
+def linearize(plant: Plant) -> tuple[Array, Array]:
+    """A `(n, n)` and B `(n, nu)` of one control period about the keyframe, centred differences."""
+    rows, space, step = Rows(plant.model), plant.space, 1e-6
+    n, nu = space.n, plant.model.nu
+    x = np.broadcast_to(plant.x0, (1, 2 * (n + nu) + 1, plant.x0.size)).copy()
+    u = np.broadcast_to(plant.u0, (1, 2 * (n + nu) + 1, nu)).copy()
+    x[0, 1 : n + 1] = space.plus(plant.x0, step * np.eye(n))
+    x[0, n + 1 : 2 * n + 1] = space.plus(plant.x0, -step * np.eye(n))
+    u[0, 2 * n + 1 : 2 * n + nu + 1] += step * np.eye(nu)
+    u[0, 2 * n + nu + 1 :] -= step * np.eye(nu)
+    ends = rows.step(x, u, 0.0, plant.nstep)[0]
+    change = space.minus(ends, ends[0]) / (2 * step)
+    A = (change[1 : n + 1] - change[n + 1 : 2 * n + 1]).T
+    B = (change[2 * n + 1 : 2 * n + nu + 1] - change[2 * n + nu + 1 :]).T
+    return A, B
+
+
+def lqr_gain(plant: Plant, section: ControlSection) -> Array:
+    """K `(nu, n)` with u = u₀ - K (x ⊖ x₀), from the discrete algebraic Riccati equation.
+
+    Raises:
+        ControllerError: the keyframe cannot be stabilized.
+    """
+    A, B = linearize(plant)
+    Q = np.diag(expand(section.state_weight, plant.space.names, "control.state_weight"))
+    names = actuator_names(plant.model)
+    R = np.diag(expand(section.control_weight, names, "control.control_weight", 1.0))
+    try:
+        X = scipy.linalg.solve_discrete_are(A, B, Q, R)
+        return np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise ControllerError(
+            f"lqr: no stabilizing gain about the keyframe ({error}); check that the actuators can "
+            "move every unstable coordinate, that control_weight > 0, or choose another controller"
+        ) from None
+
+
+def _sine(
+    section: ControlSection, centre: Array, names: Sequence[str], shape: tuple[int, int]
+) -> Controller:
+    amplitude = expand(section.amplitude, names, "control.amplitude")
+    frequencies = np.asarray(section.frequencies)
+    # Actuators are driven out of phase, else they would excite one direction only.
+    phase = 2 * np.pi * np.arange(len(names)) / max(len(names), 1)
+
+    def sine(k: int, t: float, x: Array) -> Array:
+        terms = np.sin(2 * np.pi * frequencies[:, None] * t + phase).sum(axis=0)
+        return np.broadcast_to(centre + amplitude * terms, shape)
+
+    return sine
+
+
+def _gauss_markov(white: Array, correlation: float) -> Array:
+    """Unit-variance first-order Gauss-Markov sequence `(steps, run, nu)` from standard normals."""
+    out = white * np.sqrt(1.0 - correlation**2)
+    out[:1] = white[:1]
+    for k in range(1, len(out)):
+        out[k] += correlation * out[k - 1]
+    return out
+
+
+def _read_csv(path: str | None, names: Sequence[str]) -> tuple[Array, Array]:
+    if path is None:
+        raise ControllerError("control.path is missing; csv needs the file to read")
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+        header = 0 if _is_number(rows[0][0]) else 1
+        table = np.array([[float(cell) for cell in row] for row in rows[header:]])
+    except OSError as error:
+        raise ControllerError(f"control.path '{path}' cannot be read: {error.strerror}") from None
+    except (ValueError, IndexError) as error:
+        raise ControllerError(f"control.path '{path}' is not a table of numbers: {error}") from None
+    if table.ndim != 2 or table.shape[1] != len(names) + 1 or not len(table):
+        raise DimensionError(
+            f"control.path '{path}' has {table.shape[-1] if table.ndim == 2 else 0} columns; "
+            f"expected {len(names) + 1} (t, {', '.join(names)})"
+        )
+    if (np.diff(table[:, 0]) <= 0).any():
+        raise ControllerError(f"control.path '{path}': the times in column 1 do not increase")
+    return table[:, 0], table[:, 1:]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _user(target: str | None) -> Controller:
+    module, colon, name = (target or "").partition(":")
+    if not colon:
+        raise ControllerError(f"control.function is {target!r}; use 'module:function'")
+    try:
+        function = getattr(load_module(module, "control.function"), name, None)
+    except EstimatorError as error:
+        raise ControllerError(str(error)) from None
+    if not callable(function):
+        raise ControllerError(f"control.function: module {module} has no function '{name}'")
+    user = cast(Callable[[float, Array], Array], function)
+    return lambda k, t, x: user(t, x.copy())  # it may compute in place

@@ -1,0 +1,200 @@
+"""The layout of a state or measurement space: x ⊞ δ, x ⊖ y, names and units of each coordinate.
+
+A point has `nx` numbers, its tangent `n`; they differ by one for every unit quaternion. Errors,
+covariances and NEES live in the tangent at the estimate. Rotations are body-frame, as in
+`mj_integratePos` and `mj_differentiatePos`.
+
+Source: Hertzberg et al., "Integrating generic sensor fusion algorithms with sound state
+representations through encapsulation of manifolds" (2013), Table 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.errors import DimensionError
+from estbench.shapes import Array
+from estbench.spaces import rotation
+from estbench.spaces.linalg import weighted
+
+
+@dataclass(frozen=True, eq=False)
+class Manifold:
+    """A product of real lines, circles and unit quaternions.
+
+    Attributes:
+        names: name of each tangent coordinate, `(n,)`.
+        units: unit of each tangent coordinate, `(n,)`.
+        quaternions: `(nquat, 2)` integers: where each quaternion starts in the point, and where its
+            rotation vector starts in the tangent, in order. Every other coordinate is a real line,
+            or a circle.
+        angles: tangent coordinates that are angles on a circle, in rad: a difference goes the short
+            way round, a point may have any number of turns.
+        flat: whether ⊞ is plain addition.
+        vector: whether ⊖ is plain subtraction too, as in R^n.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    quaternions: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    angles: tuple[int, ...] = ()
+    flat: bool = field(init=False, repr=False)
+    vector: bool = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.units):
+            raise DimensionError(
+                f"names has {len(self.names)} entries and units {len(self.units)}; give one each"
+            )
+        object.__setattr__(self, "flat", not len(self.quaternions))
+        object.__setattr__(self, "vector", self.flat and not self.angles)
+        taken = [i for _, first in self.quaternions for i in range(first, first + 3)]
+        for i in self.angles:
+            if not 0 <= i < self.n or i in taken or self.angles.count(i) > 1:
+                raise DimensionError(
+                    f"angles is {list(self.angles)}; use some of 0 to {self.n - 1}, each once and "
+                    "none of a quaternion's"
+                )
+        lines, turns, start, shift = [], [], 0, 0
+        for point, tangent in (
+            *self.quaternions[self.quaternions[:, 0].argsort()],
+            (self.nx, self.n),
+        ):
+            lines.append((slice(start, point), slice(start - shift, tangent)))
+            start, shift = point + 4, shift + 1
+            turns.append((slice(point, start), slice(tangent, tangent + 3)))
+        object.__setattr__(self, "_lines", [(x, t) for x, t in lines if x.start < x.stop])
+        object.__setattr__(self, "_turns", turns[:-1])
+        tangent = np.array(self.angles, np.intp)
+        before = (self.quaternions[:, 1] < tangent[:, None]).sum(axis=1)
+        object.__setattr__(self, "_circles", (tangent + before, tangent))
+
+    # Slices of the point and of the tangent: stretches of real lines, and the quaternions. Slices
+    # and not lists of indices, which numpy would gather and scatter at several times the cost.
+    _lines: list[tuple[slice, slice]] = field(init=False, repr=False)
+    _turns: list[tuple[slice, slice]] = field(init=False, repr=False)
+    # Indices of the angles in the point and in the tangent: there are few.
+    _circles: tuple[NDArray[np.intp], NDArray[np.intp]] = field(init=False, repr=False)
+
+    @classmethod
+    def euclidean(
+        cls,
+        n: int,
+        names: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        angles: Sequence[int] = (),
+    ) -> "Manifold":
+        """R^n, or circles where there are `angles`; names default to x0, x1, ... and units to 1."""
+        return cls(
+            tuple(names) if names is not None else tuple(f"x{i}" for i in range(n)),
+            tuple(units) if units is not None else ("1",) * n,
+            angles=tuple(angles),
+        )
+
+    @property
+    def n(self) -> int:
+        """Dimension of the tangent space."""
+        return len(self.names)
+
+    @property
+    def nx(self) -> int:
+        """Count of numbers in a point."""
+        return self.n + len(self.quaternions)
+
+    def plus(self, x: Array, delta: Array) -> Array:
+        """X ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
+        if self.flat:
+            return x + delta
+        out = np.empty((*np.broadcast_shapes(x.shape[:-1], delta.shape[:-1]), self.nx))
+        for at, to in self._lines:
+            np.add(x[..., at], delta[..., to], out=out[..., at])
+        for at, to in self._turns:
+            turned = rotation.multiply(x[..., at], rotation.exp(delta[..., to]))
+            out[..., at] = rotation.normalize(turned)
+        return out
+
+    def minus(self, x: Array, y: Array) -> Array:
+        """X ⊖ y `(..., n)`: the tangent vector at y with y ⊞ (x ⊖ y) = x."""
+        if self.vector:
+            return x - y
+        out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), self.n))
+        for at, to in self._lines:
+            np.subtract(x[..., at], y[..., at], out=out[..., to])
+        for at, to in self._turns:
+            q, p = rotation.normalize(x[..., at]), rotation.normalize(y[..., at])
+            out[..., to] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
+        if self.angles:
+            _, to = self._circles
+            out[..., to] = rotation.short_way(out[..., to])
+        return out
+
+    def mean(self, points: Array, weights: Array) -> Array:
+        """Weighted mean `(..., nx)` of points `(..., point, nx)`: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
+
+        Weights `(point,)` or `(..., point)`. See `rotation.mean` for the quaternions. Angles are
+        those that lie around the first point, within half a turn.
+        """
+        mean = weighted(weights, points)
+        if self.angles:
+            at, _ = self._circles
+            angles = points[..., at]
+            first = angles[..., :1, :]
+            mean[..., at] = first[..., 0, :] + weighted(weights, rotation.short_way(angles - first))
+        for at, _ in self._turns:
+            mean[..., at] = rotation.mean(points[..., at], weights)
+        return mean
+
+    def reset_jacobian(self, delta: Array) -> Array:
+        """∂((x ⊞ (δ + e)) ⊖ (x ⊞ δ))/∂e at e = 0, `(..., n, n)`.
+
+        It carries a covariance from the tangent at x to the tangent at x ⊞ δ; the identity but for
+        the right Jacobian of each rotation vector.
+        """
+        out = np.broadcast_to(np.eye(self.n), (*delta.shape[:-1], self.n, self.n)).copy()
+        for start in self.quaternions[:, 1]:
+            block = slice(start, start + 3)
+            out[..., block, block] = rotation.right_jacobian(delta[..., block])
+        return out
+
+    def transport(self, cov: Array, delta: Array) -> Array:
+        """The covariance `(..., n, n)` in the tangent at x ⊞ δ, given that at x: J P Jᵀ."""
+        if self.flat:
+            return cov
+        out = cov.copy()
+        for _, turn in self._turns:  # the rest of J is the identity
+            jacobian = rotation.right_jacobian(delta[..., turn])
+            out[..., turn, :] = jacobian @ out[..., turn, :]
+            out[..., turn] = out[..., turn] @ jacobian.mT
+        return out
+
+    def index(self, name: str) -> int:
+        """Position of the tangent coordinate `name`."""
+        return self.names.index(name)
+
+
+def product(spaces: Sequence[Manifold]) -> Manifold:
+    """The manifold of points that stand one after the other."""
+    names, units, quaternions, nx = [], [], [np.zeros((0, 2), np.intp)], 0
+    angles: list[int] = []
+    for space in spaces:
+        angles += [len(names) + i for i in space.angles]
+        quaternions.append(space.quaternions + np.array([nx, len(names)]))
+        names += space.names
+        units += space.units
+        nx += space.nx
+    return Manifold(tuple(names), tuple(units), np.concatenate(quaternions), tuple(angles))
+
+
+def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Array]:
+    """∂(y ⊞ c) with respect to a change of y (H) and of c (C), in the tangent at y ⊞ c.
+
+    For a rotation vector c they are R(c)ᵀ = I - [c]× J_r(c) and J_r(c) (Solà 2017, eq. 183).
+    """
+    jacobian = space.reset_jacobian(shift)
+    turn = np.broadcast_to(np.eye(space.n), jacobian.shape).copy()
+    for start in space.quaternions[:, 1]:
+        block = slice(start, start + 3)
+        turn[..., block, block] -= rotation.skew(shift[..., block]) @ jacobian[..., block, block]
+    return turn @ H, jacobian @ C

@@ -1,0 +1,1 @@
+"""Results on disk: the zarr store, what it declares, its locks and versions."""

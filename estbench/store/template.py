@@ -1,0 +1,96 @@
+"""An empty store: every array declared, one chunk a batch, a checksum on every chunk."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import Crc32cCodec
+
+from estbench.consistency.records import SIZES, SUMMARY, TRUTH, Field, fields
+from estbench.experiment.setup import Setup
+from estbench.inference.innovations import readings
+from estbench.robots.layout import state_names
+from estbench.scenario.schema import Scenario
+from estbench.store import versions
+
+DONE = Field(("run",), "?", "the run is complete; ignore the others")
+
+
+def declare(
+    root: zarr.Group, setup: Setup, keep: str, batches: Sequence[range], dtype: str
+) -> None:
+    """Declare every array of a store.
+
+    Args:
+        root: an empty group.
+        setup: what is run.
+        keep: `summary`, `diagonal` or `full`.
+        batches: the runs of each batch, all but the last of one length.
+        dtype: of the traces, `float64` or `float32`; averages are always float64.
+    """
+    space, seen = setup.space, readings(setup.channel_spaces)
+    sizes = {
+        "run": setup.scenario.simulation.runs,
+        "time": len(setup.times),
+        "batch": len(batches),
+        "coordinate": space.n,
+        "coordinate_": space.n,
+        "state": space.nx,
+        "reading": len(seen),
+        "reading_": len(seen),
+        **SIZES,
+    }
+    chunk = {**sizes, "run": len(batches[0]), "batch": 1}
+    root.attrs.update(
+        {**provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]), "dtype": dtype}
+    )
+    root.create_array("run", data=np.arange(sizes["run"]), dimension_names=("run",))
+    root.create_array("time", data=setup.times, dimension_names=("time",)).attrs["units"] = "s"
+    texts = [
+        ("coordinate", "coordinate", space.names),
+        ("coordinate_", "coordinate_", space.names),
+        ("unit", "coordinate", space.units),
+    ]
+    if keep != "summary":
+        texts.append(("state", "state", state_names(space)))
+    if keep == "full":
+        texts += [("reading", "reading", seen), ("reading_", "reading_", seen)]
+    for name, dim, values in texts:
+        # Strings of variable length: the only ones that zarr 3 has a specification for.
+        labels = root.create_array(
+            name, shape=(len(values),), dtype=str, dimension_names=(dim,)  # type: ignore[arg-type]
+        )  # fmt: skip
+        labels[:] = np.array(values, dtype=object)
+
+    def group(path: str, table: dict[str, Field], kind: str | None = None) -> None:
+        for name, field in table.items():
+            array = root.create_array(
+                f"{path}/{name}".strip("/"),
+                shape=tuple(sizes[d] for d in field.dims),
+                chunks=tuple(chunk[d] for d in field.dims),
+                dtype=kind if kind and field.dtype == "f8" else field.dtype,
+                dimension_names=field.dims,
+                fill_value=np.nan if field.dtype.startswith("f") else 0,
+                compressors=Crc32cCodec(),  # noise does not compress; corruption must not pass
+            )
+            array.attrs["meaning"] = field.meaning
+
+    live = setup.scenario.control.observe == "estimate"
+    group("", {"done": DONE})
+    traces = {k: v for k, v in fields(keep, live).items() if k not in SUMMARY}
+    for label in setup.scenario.estimators:
+        group(label, SUMMARY)
+        group(label, traces, dtype)
+    if keep != "summary" and not live:
+        group("truth", TRUTH, dtype)
+
+
+def provenance(scenario: Scenario) -> dict[str, Any]:
+    """Versions and seed as attributes: a function of the scenario and what is installed."""
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.simulation.seed,
+        "versions": versions.installed(),
+        "estimators": list(scenario.estimators),
+    }

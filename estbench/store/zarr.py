@@ -1,0 +1,326 @@
+"""Results on disk: one zarr store that one `xarray.open_datatree` call opens.
+
+The template comes first; a batch of runs is one zarr chunk of every array, so that no two batches
+write the same file, and `done[run]` is set last. An unfinished store is readable (take the runs
+that are done) and can be gone on with. A chunk appears whole or not at all (it is renamed into its
+place), carries a checksum, and is written even where every value is the fill value: a batch that is
+marked done and lacks one, as after a power cut, is known to be damaged.
+"""
+
+import contextlib
+import errno
+import json
+import re
+import shutil
+import tomllib
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+import zarr
+
+from estbench.consistency.records import COST, SUMMARY, TRUTH, Field, Record, fields
+from estbench.errors import StoreError
+from estbench.experiment.setup import Setup
+from estbench.scenario.load import changes
+from estbench.store import locks, versions
+from estbench.store.template import declare
+
+STORE, SCENARIO, COSTS = "data.zarr", "scenario.toml", "costs"
+
+
+def default_folder(name: str) -> Path:
+    """`results/<scenario>-<time>`, the time in UTC to the second."""
+    safe = re.sub(r"[^\w.-]+", "_", name).strip("._")
+    return Path("results") / f"{safe}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
+
+
+class Store:
+    """A results folder: `data.zarr`, the resolved `scenario.toml`, and what each batch cost.
+
+    Made by `create`, or by `reopen` to go on with one.
+
+    Attributes:
+        folder: where it is.
+        keep: what it keeps of every run.
+        dtype: of its traces.
+        batches: the runs of each batch.
+    """
+
+    def __init__(
+        self, folder: Path, keep: str, dtype: str, batches: Sequence[range], live: bool = False
+    ):
+        self.folder = folder
+        self._live = live
+        self.batches = list(batches)
+        self.keep = keep
+        self.dtype = dtype
+        self._made: list[Path] | None = None
+        self._root = self._open("r+")
+        self._arrays: dict[str, Any] = {}
+
+    @classmethod
+    def create(
+        cls, folder: Path, setup: Setup, keep: str, batch_size: int, dtype: str = "float64"
+    ) -> "Store":
+        """Make the folder with an empty store, all or nothing.
+
+        Args:
+            folder: must not exist.
+            setup: what is run.
+            keep: `summary`, `diagonal` or `full`.
+            batch_size: runs of a batch, one chunk.
+            dtype: of the traces, `float64` or `float32`; averages are always float64.
+
+        Raises:
+            StoreError: the folder exists or cannot be written.
+        """
+        if folder.exists():
+            raise StoreError(
+                f"{folder} exists; choose another --out, remove it, or go on with --resume"
+            )
+        count = setup.scenario.simulation.runs
+        batches = [range(i, min(i + batch_size, count)) for i in range(0, count, batch_size)]
+        made = [path for path in folder.parents if not path.exists()]
+        # Built beside its place and renamed: another process sees all of it or nothing.
+        draft = locks.draft(folder)
+        try:
+            with locks.building(draft):
+                (draft / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
+                (draft / COSTS).mkdir()
+                root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
+                declare(root, setup, keep, batches, dtype)
+                draft.rename(folder)
+        except BaseException as error:
+            _remove(draft, made)
+            if isinstance(error, FileExistsError) or folder.exists():
+                raise StoreError(f"{folder} exists; choose another --out or --resume") from None
+            if isinstance(error, OSError):
+                raise _unwritable(folder, error) from None
+            raise
+        new = cls(folder, keep, dtype, batches, _live(setup))
+        new._made = made
+        return new
+
+    @classmethod
+    def reopen(cls, folder: Path, setup: Setup) -> "Store":
+        """Open a store to go on with it.
+
+        Raises:
+            StoreError: it is no store, or of another scenario: the key that differs is named.
+        """
+        if not (folder / STORE).is_dir() or not (folder / SCENARIO).is_file():
+            raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
+        try:
+            before = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise StoreError(
+                f"{folder / SCENARIO} cannot be read: {error}; choose another --out"
+            ) from None
+        now = tomllib.loads(setup.scenario.to_toml())
+        for key, was, asked in changes(before, now):
+            raise StoreError(
+                f"{folder} is of another scenario: {key} was {was!r} and is {asked!r}; "
+                "choose another --out"
+            )
+        try:
+            root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
+            attrs = root.attrs.asdict()
+            size, keep, dtype = int(attrs["batch_size"]), attrs["keep"], attrs["dtype"]  # type: ignore[arg-type]
+        except (OSError, KeyError, ValueError, json.JSONDecodeError) as error:
+            raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
+        count = setup.scenario.simulation.runs
+        batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
+        return cls(folder, str(keep), str(dtype), batches, _live(setup))
+
+    def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
+        """Write one batch, and set its runs done last.
+
+        Raises:
+            StoreError: the disk is full or the store is gone.
+        """
+        runs = slice(self.batches[batch].start, self.batches[batch].stop)
+        try:
+            if not _stands(self.folder):
+                raise FileNotFoundError(errno.ENOENT, "the store was deleted")
+            cost = {label: float(r["cpu_time"].sum()) for label, r in records.items()}
+            (self.folder / COSTS / f"{batch}.json").write_text(json.dumps(cost), encoding="utf-8")
+            for group, record in {"truth": truth, **records}.items():
+                for name, value in record.items():
+                    if name not in COST:
+                        array = self._array(f"{group}/{name}")
+                        with np.errstate(over="ignore"):  # beyond float32 is infinite
+                            kept = value.astype(array.dtype, copy=False)
+                        array[self._where(group, name, batch)] = kept
+            self._array("done")[runs] = True
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
+
+    def finished(self, batch: int) -> bool:
+        """Whether the batch's runs are all marked done (the mark itself may be corrupted)."""
+        runs = slice(self.batches[batch].start, self.batches[batch].stop)
+        try:
+            return bool(np.asarray(self._array("done")[runs]).all())
+        except (OSError, ValueError, KeyError, RuntimeError):
+            return False
+
+    def read(self, batch: int, check: bool = True) -> dict[str, Record] | None:
+        """The summary records of a finished batch, or None when a chunk is corrupted or missing.
+
+        Args:
+            batch: its index.
+            check: read the traces too; their checksums are verified as they are read.
+        """
+        runs = self.batches[batch]
+        out: dict[str, Record] = {}
+        try:
+            groups = [g for g in self._root.group_keys() if g != "truth"]
+            for group in sorted(self._root.group_keys()) if check else groups:
+                table = self._fields(group)
+                names = [name for name in table if check or name in SUMMARY]
+                if not all(self._chunk(group, name, batch).is_file() for name in names):
+                    return None
+                values = {
+                    name: np.asarray(
+                        self._array(f"{group}/{name}")[self._where(group, name, batch)]
+                    )
+                    for name in names
+                }
+                if group != "truth":
+                    out[group] = {name: values[name] for name in SUMMARY}
+            cost = json.loads((self.folder / COSTS / f"{batch}.json").read_text(encoding="utf-8"))
+            for group in groups:
+                out[group]["cpu_time"] = np.full(len(runs), cost[group] / len(runs))
+        except (OSError, ValueError, KeyError, RuntimeError):
+            return None
+        return out
+
+    @contextmanager
+    def lock(self, shard: locks.Shard | None = None) -> Iterator[None]:
+        """Hold the store, alone or one share of it, without what killed writers left there.
+
+        Raises:
+            StoreError: another process holds it, or the file system cannot lock.
+        """
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locks.held(self.folder, shard))
+                locks.sweep(self.folder, self.folder / STORE, shard)
+            except BlockingIOError:
+                raise StoreError(
+                    f"another process is writing to {self.folder}; wait for it, or use --shard"
+                ) from None
+            except OSError as error:
+                raise _unwritable(self.folder, error) from None
+            yield
+
+    def sign(self, writing: bool) -> str | None:
+        """What to say of a store of several versions; None where all its numbers are of one.
+
+        Args:
+            writing: whether the versions installed here are about to write to it; they are then
+                kept in the attribute `continued`, if they are others than those already known.
+
+        Raises:
+            StoreError: the store is gone, or the disk full.
+        """
+        try:
+            with locks.briefly(self.folder):
+                attrs = self._open("r+" if writing else "r").attrs
+                found, now = versions.known(attrs), versions.installed()
+                if writing and now not in found:
+                    found.append(now)
+                    attrs["continued"] = found[1:]
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
+        return versions.mixed(found)
+
+    def close(self) -> None:
+        """Consolidate the metadata, so that opening reads one file.
+
+        Raises:
+            StoreError: the store is gone, or the disk full.
+        """
+        try:
+            with locks.briefly(self.folder), warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # zarr: not yet in the standard
+                zarr.consolidate_metadata(str(self.folder / STORE))
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
+
+    def discard(self) -> None:
+        """Remove the folder, and the parents made for it, if this object made it."""
+        if self._made is not None:
+            _remove(self.folder, self._made)
+
+    def _open(self, mode: Literal["r", "r+"]) -> zarr.Group:
+        return zarr.open_group(str(self.folder / STORE), mode=mode, zarr_format=3)
+
+    def _array(self, path: str) -> Any:
+        """An array of the store; opening one reads its metadata, so it is kept."""
+        if path not in self._arrays:
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                self._arrays[path] = self._root[path]
+        return self._arrays[path]
+
+    def _chunk(self, group: str, name: str, batch: int) -> Path:
+        """The file that holds a batch of an array; it is one chunk in every other dimension."""
+        others = ["0"] * (len(self._fields(group)[name].dims) - 1)
+        return self.folder.joinpath(STORE, group, name, "c", str(batch), *others)
+
+    def _fields(self, group: str) -> dict[str, Field]:
+        return TRUTH if group == "truth" else fields(self.keep, self._live)
+
+    def _where(self, group: str, name: str, batch: int) -> slice:
+        """The rows of an array that a batch fills."""
+        dims = self._fields(group)[name].dims
+        runs = self.batches[batch]
+        return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
+
+
+def _live(setup: Setup) -> bool:
+    """Whether each estimator drives a truth of its own."""
+    return setup.scenario.control.observe == "estimate"
+
+
+def _remove(folder: Path, parents: Sequence[Path]) -> None:
+    with contextlib.suppress(OSError):
+        shutil.rmtree(folder)
+        for parent in parents:
+            parent.rmdir()  # refused, and so kept, if something else lies in it
+
+
+def _stands(folder: Path) -> bool:
+    """Whether its store is there, and not only folders that a write under way made again."""
+    return (folder / STORE / "zarr.json").is_file()
+
+
+def _unwritable(folder: Path, error: OSError) -> StoreError:
+    return StoreError(
+        f"{folder} cannot be written: {error.strerror or error}; what is finished is kept there, "
+        "free the disk and --resume, or choose another --out"
+        if _stands(folder)
+        else f"{folder} cannot be written: {error.strerror or error}; choose another --out"
+    )
+
+
+def open_results(folder: str | Path) -> xr.DataTree:
+    """Open the store of a results folder: the root, `truth`, and a group per estimator.
+
+    Raises:
+        StoreError: there is no such store.
+    """
+    path = Path(folder) / STORE
+    if not path.is_dir():
+        raise StoreError(f"{folder} holds no {STORE}; name a folder that `estbench run` wrote")
+    try:
+        with warnings.catch_warnings():  # a store that was never closed opens slowly: no matter
+            warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)
+            return xr.open_datatree(path, engine="zarr", consolidated=None)
+    except (OSError, ValueError, KeyError, json.JSONDecodeError) as error:
+        raise StoreError(f"{path} cannot be read: {error}") from None

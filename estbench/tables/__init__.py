@@ -1,0 +1,1 @@
+"""Text for people: numbers with intervals, tables that fit, files to be written."""

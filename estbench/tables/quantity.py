@@ -1,0 +1,78 @@
+"""A number and its interval as text: one way for every command, table and page."""
+
+import math
+
+from estbench.consistency.nees import Interval
+
+LARGE = 1e5
+"""Numbers from here on are shown by their power of ten."""
+DECIMALS = 6
+"""With more decimals than these the power of ten is shorter."""
+LOPSIDED = 1.5
+"""An interval is shown by its ends from where one side is so many times the other."""
+ROUNDING = 1e-12
+"""An interval narrower than this part of its value is of the arithmetic's making."""
+
+
+def quantity(i: Interval) -> str:
+    """`1.020 ± 0.031`, or with its ends, `12 [3.1, 120]`, where the interval is lopsided.
+
+    Two digits of the half-width (high - low)/2 are shown, and the value to the same place. Where
+    one side is more than `LOPSIDED` times the other ± would mislead (12 ± 58 holds 1, and the
+    interval does not), so the ends stand there, to that place, none with fewer than two digits of
+    its own.
+
+    A value alone (no interval: one run) has three digits, or those before the point; one whose
+    interval has no width is followed by `± 0`; a missing one is `–`. What is infinite is `∞`.
+
+    Args:
+        i: the value and its interval, in the unit that is shown elsewhere.
+    """
+    if not math.isfinite(i.value):
+        return "–" if math.isnan(i.value) else "∞" if i.value > 0 else "-∞"
+    below, above = i.value - i.low, i.high - i.value
+    sides = [side for side in (below, above) if math.isfinite(side)]
+    if not sides:
+        return _alone(i.value, 3)
+    half = sum(side / len(sides) for side in sides)
+    place = _place(half)
+    if len(sides) == 2:
+        if half <= ROUNDING * abs(i.value):
+            return f"{_alone(i.value, 6)} ± 0"
+        large = max(abs(i.value), half) >= LARGE or place > DECIMALS
+        if max(sides) <= LOPSIDED * min(sides):
+            if large:
+                return f"{_power(i.value, place, 2)} ± {_power(half, place)}"
+            return f"{_fixed(i.value, place)} ± {_fixed(half, place)}"
+    value, low, high = (_end(x, place) for x in (i.value, i.low, i.high))
+    return f"{value} [{low}, {high}]"
+
+
+def _place(x: float) -> int:
+    """Decimals that show two digits of x; negative where its last two are no decimals."""
+    return 1 - math.floor(math.log10(abs(x))) if x else 0
+
+
+def _fixed(x: float, decimals: int) -> str:
+    return f"{x:z.{max(decimals, 0)}f}"  # z: no negative zero
+
+
+def _power(x: float, decimals: int, least: int = 1) -> str:
+    """Down to the same place as that many decimals, with at least so many after the point."""
+    return f"{x:.{max(decimals + 1 - _place(x), least)}e}" if x else "0"
+
+
+def _end(x: float, decimals: int) -> str:
+    """A number that stands by itself: by its own size, with two digits at least."""
+    if not math.isfinite(x):
+        return "∞" if x > 0 else "-∞"
+    decimals = max(decimals, _place(x))
+    large = abs(x) >= LARGE or decimals > DECIMALS
+    return _power(x, decimals) if large else _fixed(x, decimals)
+
+
+def _alone(x: float, digits: int) -> str:
+    """To so many digits, but with all before the point."""
+    if abs(x) >= LARGE:
+        return f"{x:.{digits - 1}e}"
+    return f"{x:z.{max(digits, len(f'{abs(x):.0f}'))}g}"

@@ -1,0 +1,251 @@
+"""Who samples when, what arrives when: counted, and compared with MuJoCo's own sensordata."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import pytest
+
+from estbench.experiment import setup
+from estbench.robots.batch import engine
+from estbench.scenario.load import load
+from estbench.scenario.schema import ChannelSection
+from estbench.sensors import channel as sensors
+from estbench.sensors.sampling import Readings
+from estbench.sensors.timing import instants
+from estbench.simulation.truth import simulate
+from tests.helpers import SENSORS, zoo_model
+
+EVERYTHING = {
+    "bias": 0.1, "bias_walk": 0.05, "drift": 0.1, "drift_time": 0.5, "scale_factor": 0.01,
+    "quantization": 0.01, "cutoff": 50.0, "deadband": 0.02, "outlier_probability": 0.1,
+    "student_dof": 5.0, "dropout": 0.2, "dropout_length": 2.0, "stuck": 0.05, "stuck_length": 3.0,
+    "rate": 62.5, "jitter": 0.004, "latency": 0.01, "latency_std": 0.02,
+}  # fmt: skip
+NOTHING = {
+    "bias": 0.0, "bias_walk": 0.0, "drift": 0.0, "scale_factor": 0.0, "misalignment": 0.0,
+    "quantization": 0.0, "deadband": 0.0, "outlier_probability": 0.0, "dropout": 0.0, "stuck": 0.0,
+    "jitter": 0.0, "latency": 0.0, "latency_std": 0.0,
+}  # fmt: skip
+
+
+def readings(section, runs: Sequence[int] = range(4), steps=60, name="lift_encoder", frame_skip=1):
+    model = zoo_model("joints")  # 4 ms steps
+    (channel,), _ = sensors.build(model, {name: ChannelSection(**section)}, [name], frame_skip)
+    found = instants([(name, channel.timing)], model.opt.timestep, frame_skip, 0.004 * steps)
+    return Readings(channel, found, 3, runs), found
+
+
+def collect(made, found, runs):
+    """[(arrival, taken, due, run, value)], of a true reading that tells tick and run apart."""
+    out = []
+    for k, instant in enumerate(found):
+        clean = np.array([[1000.0 * instant.tick + run] for run in runs]) if made.takes(k) else None
+        for d in made.at(k, clean):
+            rows = range(len(runs)) if d.mask is None else np.flatnonzero(d.mask)
+            out += [(k, d.taken, d.due, runs[r], float(d.y[r, 0])) for r in rows]
+    return out
+
+
+# When
+
+
+TIMINGS = [
+    {},
+    {"rate": 125},
+    {"rate": 25, "phase": 0.012},
+    {"rate": 25, "latency": 0.03},
+    {"rate": 25, "jitter": 0.016},
+    {"rate": 62.5, "jitter": 0.004, "latency": 0.01, "latency_std": 0.02},
+    {"rate": 250, "latency": 0.02, "latency_std": 0.03},
+    {"rate": 50, "dropout": 0.4, "dropout_length": 3.0, "jitter": 0.008, "latency_std": 0.02},
+]
+
+
+@pytest.mark.parametrize("section", TIMINGS, ids=str)
+@pytest.mark.parametrize("frame_skip", [1, 3])
+def test_every_reading_arrives_once_with_what_was_true_when_it_was_taken(section, frame_skip):
+    runs = list(range(40))
+    made, found = readings({"noise": 1e-6, **section}, runs, frame_skip=frame_skip)
+    channel, ticks = made.channel, np.array([i.tick for i in found])
+    last = ticks[-1]
+    due = channel.timing.due(last)
+    taken = channel.timing.sampled(3, runs, channel.name, last)
+    arrives = channel.timing.arrived(taken, 3, runs, channel.name, last)
+    collected = collect(made, found, runs)
+    seen = {(run, due): (arrival, at, value) for arrival, at, due, run, value in collected}
+    assert len(seen) == len(collected)  # none twice
+    lost = 0
+    for j in range(len(due)):
+        for r, run in enumerate(runs):
+            if arrives[j, r] > last:
+                assert (run, int(np.searchsorted(ticks, due[j]))) not in seen
+                continue
+            found_ = seen.pop((run, int(np.searchsorted(ticks, due[j]))), None)
+            if found_ is None:
+                lost += 1
+                continue
+            arrival, at, value = found_
+            assert ticks[at] == taken[j, r]
+            assert value == pytest.approx(1000 * taken[j, r] + run, abs=1e-4)
+            assert arrival == np.searchsorted(ticks, arrives[j, r])  # the first not earlier
+    assert not seen  # none from nowhere
+    assert (lost > 0) == ("dropout" in section)
+
+
+def test_an_arrival_waits_for_the_next_instant():
+    made, found = readings({"noise": 1e-6, "rate": 62.5, "latency": 0.005}, frame_skip=4, steps=16)
+    assert [i.tick for i in found] == [4, 8, 12, 16]
+    assert [(k, taken) for k, taken, *_ in collect(made, found, [0])] == [(1, 0), (2, 1), (3, 2)]
+
+
+def test_readings_with_random_latency_overtake_each_other():
+    made, found = readings({"noise": 1e-6, "latency": 0.02, "latency_std": 0.02}, steps=200)
+    order = [taken for _, taken, _, run, _ in collect(made, found, range(4)) if run == 0]
+    assert order != sorted(order)
+    assert sorted(order) == sorted(set(order))
+
+
+# What
+
+
+def test_with_jitter_each_run_sees_the_truth_of_its_own_time():
+    """A stuck-at fault remembers it too: the memory is a run's own."""
+    section = {"noise": 1e-9, "rate": 25, "jitter": 0.016, "stuck": 0.5, "stuck_length": 2.0}
+    runs = list(range(30))
+    made, found = readings(section, runs, steps=400)
+    values = {}
+    for _, taken, _, run, value in collect(made, found, runs):
+        fresh = 1000 * found[taken].tick + run
+        previous = values.get(run)
+        assert value == pytest.approx(fresh, abs=1e-4) or value == previous
+        values[run] = value
+
+
+@pytest.mark.parametrize("section", [{}, EVERYTHING], ids=["white", "everything"])
+@pytest.mark.parametrize("name", ["lift_encoder", "gyro", "attitude"])
+def test_a_run_reads_the_same_alone_and_among_others(name, section):
+    flat = ("scale_factor", "quantization", "cutoff", "deadband")
+    section = {k: v for k, v in section.items() if name != "attitude" or k not in flat}
+
+    def deliveries(runs):
+        made, found = readings(section, runs, name=name)
+        space, out = made.channel.space, {}
+        for k, instant in enumerate(found):
+            clean = None
+            if made.takes(k):
+                x = np.array([[0.1 * run, instant.end, 1.0] for run in runs])[:, : space.n]
+                start = np.zeros(space.nx)
+                start[space.quaternions[:, 0]] = 1.0
+                clean = space.plus(np.broadcast_to(start, (len(runs), space.nx)), x)
+            for d in made.at(k, clean):
+                for r in range(len(runs)) if d.mask is None else np.flatnonzero(d.mask):
+                    out[runs[r], d.due] = (k, d.taken, d.y[r].tolist())
+        return out
+
+    together = deliveries(range(12))
+    apart = {}
+    for runs in ([0, 1, 2], [3], list(range(4, 12))):
+        apart |= deliveries(runs)
+    assert apart == together
+
+
+# MuJoCo's sensordata
+
+
+def exact(path, *more):
+    """A scenario of an MJCF whose sensors have every imperfection, all of them zero."""
+    names = [s.name for s in mujoco.MjSpec.from_file(str(path)).sensors]
+    overrides = [f"filter.channels.{n}.noise=0.1" for n in names]
+    overrides += [f"channels.{n}.noise=0" for n in names]
+    overrides += [f"channels.{n}.{k}={v}" for n in names for k, v in NOTHING.items()]
+    return setup.build(
+        load(path, [*overrides, "control.kind=sine", "control.amplitude=0.4", *more])
+    )
+
+
+# What `SENSORS` leaves out: contact, tendons at their limits, geometry, energy, a camera.
+OTHERS = """
+<mujoco><option timestep="0.005"><flag energy="enable"/></option>
+<worldbody>
+  <camera name="camera" pos="0 -3 1" xyaxes="1 0 0 0 0 1" resolution="640 480" fovy="60"/>
+  <geom name="floor" type="plane" size="2 2 1"/>
+  <body pos="0 0 0.6"><joint name="arm" axis="0 1 0"/><site name="tip" pos="0.5 0 0"/>
+    <geom name="arm" type="capsule" size="0.05" fromto="0 0 0 0.5 0 0" mass="1"/></body>
+  <body name="ball" pos="1 0 0.1"><freejoint/><geom name="ball" size="0.1" mass="0.3"/>
+    <site name="skin" size="0.2"/></body>
+  <body pos="-1 0 0.5"><joint name="slide" type="slide" axis="0 0 1"/>
+    <geom size="0.1" mass="0.4" contype="0" conaffinity="0"/></body>
+</worldbody>
+<tendon><fixed name="tendon" limited="true" range="-0.2 0.2"><joint joint="arm" coef="1"/>
+  <joint joint="slide" coef="0.5"/></fixed></tendon>
+<actuator><motor name="pull" tendon="tendon"/></actuator>
+<sensor>
+  <touch name="touch" site="skin"/><camprojection name="pixel" site="tip" camera="camera"/>
+  <contact name="contact" geom1="ball" geom2="floor" num="1" data="found force dist"/>
+  <e_kinetic name="energy"/><frameyaxis name="yaxis" objtype="site" objname="tip"/>
+  <distance name="distance" geom1="ball" geom2="arm" cutoff="2"/>
+  <normal name="normal" geom1="ball" geom2="arm" cutoff="2"/>
+  <fromto name="fromto" geom1="ball" geom2="arm" cutoff="2"/>
+  <insidesite name="inside" site="skin" objtype="body" objname="ball"/>
+  <tendonactuatorfrc name="tendon_force" tendon="tendon"/>
+  <tendonlimitpos name="limit" tendon="tendon"/><tendonlimitvel name="limit_rate" tendon="tendon"/>
+  <tendonlimitfrc name="limit_force" tendon="tendon"/>
+</sensor></mujoco>"""
+
+
+def assert_sensordata(path, duration, *settings):
+    """Readings free of imperfections are those of `mj_forward`.
+
+    Returns:
+        Names of the sensors that were not always zero, and of those seen at their cutoff.
+    """
+    prepared = exact(path, f"simulation.duration={duration}", *settings)
+    runs = range(4)
+    with engine():
+        controller = prepared.controller(runs)
+        trajectory = simulate(prepared.simulator(runs), controller, prepared.plant.period)
+    original = mujoco.MjModel.from_xml_path(str(path))
+    # The solver then begins where it begins in estbench: forces of constraints agree to the bit.
+    original.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    alive, clipped = set(), set()
+    for k, instant in enumerate(prepared.instants):
+        arrived = {d.channel: d for d in trajectory.deliveries[k]}
+        assert list(arrived) == [c.name for c in prepared.channels]
+        for run in runs:
+            data = mujoco.MjData(original)
+            nq, nv = original.nq, original.nv
+            data.qpos, data.qvel = np.split(trajectory.x[k + 1, run][: nq + nv], [nq])
+            data.ctrl, data.time = trajectory.u[k, run], instant.end
+            mujoco.mj_forward(original, data)
+            for c in prepared.channels:
+                expected = data.sensor(c.name).data
+                np.testing.assert_array_equal(arrived[c.name].y[run], expected, c.name)
+                limit = original.sensor(c.name).cutoff[0]
+                alive |= {c.name} if expected.any() else set()
+                clipped |= {c.name} if limit and np.abs(expected).max() == limit else set()
+            assert all(arrived[c.name].mask is None for c in prepared.channels)
+    return alive, clipped
+
+
+@pytest.mark.parametrize("skip", [1, 3])
+def test_without_imperfections_readings_are_mujocos_sensordata(tmp_path, skip):
+    text = SENSORS.replace('name="gyro"', 'name="gyro" cutoff="0.2"')
+    text = text.replace('name="tendonpos"', 'name="tendonpos" cutoff="0.01"')
+    (tmp_path / "m.xml").write_text(text)
+    settings = (f"model.frame_skip={skip}", "initial.std=0.4")
+    _, clipped = assert_sensordata(tmp_path / "m.xml", 0.15, *settings)
+    assert {"gyro", "tendonpos"} <= clipped
+
+
+def test_contacts_limits_geometry_and_energy_are_mujocos_too(tmp_path):
+    (tmp_path / "m.xml").write_text(OTHERS)
+    alive, _ = assert_sensordata(tmp_path / "m.xml", 0.3, "initial.std=0.3")
+    assert alive == {s.name for s in mujoco.MjSpec.from_string(OTHERS).sensors}
+
+
+def test_zero_imperfections_are_no_imperfections(tmp_path):
+    (tmp_path / "m.xml").write_text(SENSORS)
+    prepared = exact(tmp_path / "m.xml")
+    assert all(c.part is None and c.timing.punctual for c in prepared.channels
+               if not zoo_model("sensors").sensor(c.name).cutoff[0])  # fmt: skip

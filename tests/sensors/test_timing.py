@@ -1,0 +1,204 @@
+import mujoco
+import numpy as np
+import pytest
+
+from estbench.errors import ScenarioError
+from estbench.experiment import setup
+from estbench.robots.batch import engine
+from estbench.scenario.load import load
+from estbench.sensors.sampling import Readings
+from estbench.sensors.timing import Native, Timing, instants
+
+# When
+
+
+def test_readings_are_due_at_the_phase_and_every_period():
+    assert Timing(3).due(10).tolist() == [3, 6, 9]
+    assert Timing(3, phase=1).due(10).tolist() == [1, 4, 7, 10]
+    assert Timing(3, phase=7).due(10).tolist() == [7, 10]
+    assert Timing(20).due(10).tolist() == []
+
+
+def test_an_uneven_rhythm_takes_the_first_step_that_is_not_earlier():
+    assert Timing(2, uneven=(2.5, 2.5)).due(11).tolist() == [3, 5, 8, 10]
+    assert Timing(2, uneven=(1.0, 10 / 3)).due(12).tolist() == [1, 5, 8, 11]
+    assert Timing(2, uneven=(2.5, 2.5)).due(2).tolist() == []
+
+
+def test_jitter_is_uniform_within_its_bound():
+    timing = Timing(20, jitter=3)
+    off = timing.sampled(5, range(50), "a", 20 * 200) - timing.due(20 * 200)[:, None]
+    assert off.shape == (200, 50)
+    counts = np.unique(off, return_counts=True)
+    assert counts[0].tolist() == [-3, -2, -1, 0, 1, 2, 3]
+    # A count is binomial(10000, 1/7); 5.5 standard deviations, seven times: below 1e-6.
+    p, n = 1 / 7, off.size
+    assert (np.abs(counts[1] - n * p) < 5.5 * np.sqrt(n * p * (1 - p))).all()
+
+
+def test_latency_is_rounded_up_to_the_next_step_and_never_negative():
+    sampled = Timing(4).sampled(0, range(3), "a", 40)
+    for latency, steps in ((0.0, 0), (0.2, 1), (1.0, 1), (2.5, 3), (16.0, 16)):
+        arrived = Timing(4, latency=latency).arrived(sampled, 0, range(3), "a", 40)
+        np.testing.assert_array_equal(arrived, sampled + steps)
+    timing = Timing(4, latency=1.0, latency_std=2.0)
+    assert (timing.arrived(sampled, 0, range(3), "a", 40) >= sampled).all()
+
+
+def test_random_latency_has_its_mean_and_standard_deviation():
+    timing = Timing(1, latency=100.0, latency_std=5.0)
+    sampled = timing.sampled(1, range(40), "a", 500)
+    late = timing.arrived(sampled, 1, range(40), "a", 500) - sampled
+    n = late.size
+    # Rounding up adds half a step and a variance of 1/12. Six standard deviations: 2e-9.
+    assert abs(late.mean() - 100.5) < 6 * 5 / np.sqrt(n)
+    assert abs(late.var() - 25 - 1 / 12) < 6 * 25 * np.sqrt(2 / n)
+    assert timing.longest == 125
+    assert (late <= timing.longest + 1).all()
+
+
+def test_each_run_has_its_own_jitter_and_latency_whatever_its_company():
+    timing = Timing(10, jitter=4, latency=3.0, latency_std=2.0)
+    together = timing.sampled(1, range(6), "a", 100)
+    late = timing.arrived(together, 1, range(6), "a", 100)
+    for run in range(6):
+        alone = timing.sampled(1, [run], "a", 100)
+        np.testing.assert_array_equal(alone[:, 0], together[:, run])
+        arrived = timing.arrived(alone, 1, [run], "a", 100)
+        np.testing.assert_array_equal(arrived[:, 0], late[:, run])
+    assert (late[:, 0] != late[:, 1]).any()
+
+
+def test_punctual():
+    assert Timing(3, phase=2).punctual
+    for late in (
+        Timing(3, jitter=1), Timing(3, latency=1.0), Timing(3, latency_std=1.0),
+        Timing(3, uneven=(1.5, 1.5)),
+    ):  # fmt: skip
+        assert not late.punctual
+
+
+def test_jittered_instants_are_instants_and_jitter_is_less_than_half_a_period():
+    found = instants([("a", Timing(5, jitter=2, timestep=0.01))], 0.01, 10, 0.2)
+    assert [i.tick for i in found] == [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18,
+                                       19, 20]  # fmt: skip
+    assert [i.tick for i in found if i.channels] == [5, 10, 15, 20]
+    with pytest.raises(ScenarioError, match=r"channels\.a\.jitter is 0\.03 s; .*half the period"):
+        instants([("a", Timing(6, jitter=3, timestep=0.01))], 0.01, 1, 0.2)
+
+
+def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
+    # Steps of 2 ticks; readings every 4 add no instant; every 5 they may.
+    named = [("a", Timing(4)), ("b", Timing(5))]
+    assert len(instants(named, 0.01, 2, 0.2)) == 10 + 2
+    monkeypatch.setattr("estbench.sensors.timing.MOST_INSTANTS", 15)
+    assert instants(named, 0.01, 2, 0.2)
+    message = r"is 1e\+09 s: 5e\+10 steps of 0\.02 s.* 7e\+10 instants.*at most 15; .*seconds"
+    with pytest.raises(ScenarioError, match=message):
+        instants(named, 0.01, 2, 1e9)
+    every = [("a", Timing(1)), ("b", Timing(3, jitter=1))]  # never more than one a tick
+    assert len(instants(every, 0.01, 2, 0.14)) == 14
+    with pytest.raises(ScenarioError, match="16 instants"):
+        instants(every, 0.01, 2, 0.16)
+
+
+# MuJoCo's own interval and delay
+
+T = 1 / 128  # exact in binary: MuJoCo's clock then does not drift
+NATIVE = [
+    {"nsample": 1},
+    {"nsample": 1, "interval": (3, 0)},
+    {"nsample": 2, "interval": (3, -1)},
+    {"nsample": 1, "interval": (3, -2)},
+    {"nsample": 1, "interval": (3, -1.5)},
+    {"nsample": 4, "interval": (2.5, 0)},
+    {"nsample": 4, "interval": (2.5, -0.75)},
+    {"nsample": 1, "interval": (0.5, 0)},
+    {"nsample": 4, "delay": 3},
+    {"nsample": 3, "delay": 3},
+    {"nsample": 4, "delay": 2.5},
+    {"nsample": 2, "delay": 5},  # the history is too short: MuJoCo reads its oldest
+    {"nsample": 4, "interval": (4, 0), "delay": 2},
+    {"nsample": 4, "interval": (4, 0), "delay": 2.5},
+    {"nsample": 4, "interval": (4, -1), "delay": 5},
+    {"nsample": 9, "interval": (2.5, -1), "delay": 3},
+    {"nsample": 1, "interval": (4, 0), "delay": 2},
+    {"nsample": 2, "interval": (4, 0), "delay": 10},
+    {"nsample": 3, "interval": (4, 0), "delay": 10},
+    {"nsample": 2, "interval": (2.5, 0), "delay": 9},
+    {"interval": (4, 0)},  # without a history MuJoCo ignores it
+]
+
+
+def mjcf(native):
+    attributes = ""
+    if "nsample" in native:
+        attributes += f' nsample="{native["nsample"]}"'
+    if "interval" in native:
+        attributes += ' interval="{} {}"'.format(*(T * n for n in native["interval"]))
+    if "delay" in native:
+        attributes += f' delay="{T * native["delay"]}"'
+    return f"""
+    <mujoco><option timestep="{T}" gravity="0 0 0"/>
+    <worldbody><body><joint name="x" type="slide"/><geom size="0.1" mass="1"/></body></worldbody>
+    <sensor><jointpos name="x" joint="x" noise="1e-9" {attributes}/></sensor></mujoco>"""
+
+
+def shown_by_mujoco(text, steps):
+    """The tick whose sample `sensordata` shows at each tick 1, 2, ...; 0 for nothing yet."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0  # the position is the time
+    shown = []
+    for _ in range(steps + 1):
+        mujoco.mj_step(model, data)  # sensordata is that of the state before the step
+        shown.append(round(float(data.sensordata[0]) / T))
+    return shown[1:]
+
+
+@pytest.mark.parametrize("native", NATIVE, ids=str)
+def test_the_mjcf_timing_is_mujocos(native, tmp_path):
+    (tmp_path / "m.xml").write_text(mjcf(native))
+    steps = 40
+    overrides = ["initial.std=1e-6", f"simulation.duration={steps * T}"]
+    prepared = setup.build(load(tmp_path / "m.xml", overrides))
+    (channel,) = prepared.channels
+    readings = Readings(channel, prepared.instants, 0, range(2))
+    newest, shown = 0, []
+    assert [i.tick for i in prepared.instants] == list(range(1, steps + 1))
+    for k, instant in enumerate(prepared.instants):
+        clean = np.full((2, 1), float(instant.tick)) if readings.takes(k) else None
+        for delivery in readings.at(k, clean):
+            assert delivery.mask is None
+            tick = prepared.instants[delivery.taken].tick
+            np.testing.assert_allclose(delivery.y, tick, atol=1e-6)
+            newest = max(newest, tick)
+        shown.append(newest)
+    assert shown == shown_by_mujoco(mjcf(native), steps)
+
+
+def test_the_mjcf_delay_is_what_the_filter_is_told_late(tmp_path):
+    text = mjcf({"nsample": 4, "interval": (4, -1), "delay": 5})
+    (tmp_path / "m.xml").write_text(text)
+    with engine():
+        prepared = setup.build(load(tmp_path / "m.xml"))
+    assert prepared.channels[0].timing == Timing(4, 3, latency=5.0, timestep=T, slots=4)
+    assert prepared.window >= 5
+
+
+def test_the_scenario_overrides_the_mjcf(tmp_path):
+    (tmp_path / "m.xml").write_text(mjcf({"nsample": 4, "interval": (4, -1), "delay": 5}))
+
+    def timing(*overrides):
+        return setup.build(load(tmp_path / "m.xml", overrides)).channels[0].timing
+
+    assert timing("channels.x.rate=64") == Timing(2, latency=5.0, timestep=T)
+    assert timing("channels.x.latency=0.0") == Timing(4, 3, timestep=T)
+    assert timing("channels.x.phase=0.015625").phase == 2
+    assert timing("channels.x.phase=0").phase == 0  # one period, as ever
+
+
+def test_native_timing_rounds_to_steps():
+    assert Native(0.1, 0.0, 0.0, 1).timing(0.01, 3) == Timing(10, 10, timestep=0.01)
+    assert Native(0.0, 0.0, 0.05, 9).timing(0.01, 3).latency == pytest.approx(5)
+    assert Native(0.1, 0.0, 0.05, 0).timing(0.01, 3) == Timing(3, timestep=0.01)
