@@ -6,17 +6,18 @@ what is known before). With jitter a run's reading is taken some ticks off. It a
 with latency some ticks later, at the first instant that is not earlier.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from estbench.errors import ScenarioError
-from estbench.randomness import streams
-from estbench.shapes import Ints
+from estbench.shapes import Array, Ints
 
 MOST_INSTANTS = 5_000_000
 """Most instants of a run: each takes half a kilobyte, these 2.5 GB."""
+_REMEMBERED = 10_000
+"""Control periods that a schedule remembers."""
 
 
 @dataclass(frozen=True)
@@ -110,36 +111,114 @@ class Timing:
 
     def due(self, ticks: int) -> Ints:
         """Ticks `(reading,)` at which readings are due up to `ticks`."""
-        if self.uneven is None:
-            return np.arange(self.phase or self.period, ticks + 1, self.period)
-        first, interval = self.uneven
-        count = max(0, int((ticks - first) / interval) + 1)
-        due = np.ceil(first + interval * np.arange(count) - 1e-6).astype(np.int64)
+        first, interval = self.uneven or (self.phase or self.period, self.period)
+        due = self.due_tick(np.arange(max(0, int((ticks - first) / interval) + 1)))
         return due[due <= ticks]
 
-    def sampled(self, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
-        """Ticks `(reading, run)` at which each run's readings are taken."""
-        due = self.due(ticks)[:, None] + np.zeros(len(runs), np.int64)
-        if not self.jitter:
-            return due
-        z = streams.uniforms(seed, runs, f"sensor:{name}:jitter", len(due), 1)[..., 0]
-        off = np.floor(z * (2 * self.jitter + 1)).astype(np.int64) - self.jitter
-        return np.clip(due + off, 1, None)
+    def due_tick(self, reading: Ints) -> Ints:
+        """The tick at which the readings of these numbers, from 0, are due."""
+        if self.uneven is None:
+            return (self.phase or self.period) + self.period * reading
+        first, interval = self.uneven
+        return np.ceil(first + interval * reading - 1e-6).astype(np.int64)
 
-    def arrived(self, sampled: Ints, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
-        """Ticks `(reading, run)` at which readings arrive that were sampled so.
+    def due_between(self, after: int, until: int) -> list[int]:
+        """The ticks in (after, until] at which readings are due."""
+        first, interval = self.uneven or (self.phase or self.period, self.period)
+        lowest = max(0, int((after - first) / interval))
+        ticks = self.due_tick(np.arange(lowest, int((until - first) / interval) + 2))
+        return ticks[(ticks > after) & (ticks <= until)].tolist()
+
+    def sampling_tick(self, due: Ints, uniform: Array) -> Ints:
+        """The tick at which a reading is taken that is due at `due`, from uniforms on [0, 1)."""
+        off = np.floor(uniform * (2 * self.jitter + 1)).astype(np.int64) - self.jitter
+        return np.maximum(due + off, 1)
+
+    def arrival_tick(self, sampled: Ints, reading: Ints, normal: Array | float = 0.0) -> Ints:
+        """The tick at which a reading arrives that was taken at `sampled`.
 
         A random latency is a normal number, but never negative.
+
+        Args:
+            sampled: `(row,)`.
+            reading: its number, from 0 `(row,)`.
+            normal: standard normals `(row,)`.
         """
-        late = np.full(sampled.shape, self.latency)
-        if self.latency_std:
-            z = streams.normals(seed, runs, f"sensor:{name}:latency", len(sampled), 1)[..., 0]
-            late = np.maximum(late + self.latency_std * z, 0.0)
+        late = np.maximum(self.latency + self.latency_std * normal, 0.0)
         out = sampled + np.ceil(late - 1e-6).astype(np.int64)
         if self.slots:
-            following = self.due(ticks + self.slots * (self.period + 1))[self.slots - 1 :] + 1
-            out = np.minimum(out, following[: len(out), None])
+            out = np.minimum(out, self.due_tick(reading + self.slots - 1) + 1)
         return out
+
+
+class Schedule:
+    """The instants of the event loop, one control period after the other.
+
+    Args:
+        channels: name and timing of each channel.
+        timestep: physics step, s.
+        frame_skip: physics steps of a control period, which is the filter's step.
+        last: tick after which no reading is due; None for no end.
+
+    Attributes:
+        timestep: physics step, s.
+        frame_skip: physics steps of a control period.
+        plain: whether every control period is one interval: no channel samples in between.
+
+    Raises:
+        ScenarioError: a jitter would change the readings' order.
+    """
+
+    def __init__(
+        self,
+        channels: Sequence[tuple[str, Timing]],
+        timestep: float,
+        frame_skip: int,
+        last: int | None = None,
+    ):
+        for name, timing in channels:
+            if timing.jitter and 2 * timing.jitter >= timing.period:
+                raise ScenarioError(
+                    f"channels.{name}.jitter is {timing.jitter * timestep:g} s; it must be less "
+                    f"than half the period {timing.period * timestep:g} s, or readings would "
+                    "change order"
+                )
+        self._channels, self._last = tuple(channels), last
+        self.timestep, self.frame_skip = timestep, frame_skip
+        self.plain = not any(between(timing, frame_skip) for _, timing in channels)
+        self._known: dict[int, tuple[Instant, ...]] = {}
+
+    def period(self, k: int) -> tuple[Instant, ...]:
+        """The instants of the k-th control period, from 0."""
+        if k not in self._known:
+            if len(self._known) >= _REMEMBERED:
+                self._known.clear()
+            self._known[k] = tuple(self._period(k))
+        return self._known[k]
+
+    def _period(self, k: int) -> Iterator[Instant]:
+        before, end = k * self.frame_skip, (k + 1) * self.frame_skip
+        ticks, due = {end}, dict[int, list[str]]()
+        for name, timing in self._channels:
+            j = timing.jitter
+            latest = end + j if self._last is None else min(end + j, self._last)
+            for tick in timing.due_between(before - j - 1, latest):
+                if before < tick <= end:
+                    due.setdefault(tick, []).append(name)
+                ticks.update(t for t in range(tick - j, tick + j + 1) if before < t <= end)
+        for tick in sorted(ticks):
+            names, control = tuple(due.get(tick, ())), before % self.frame_skip == 0
+            yield Instant(
+                before * self.timestep, tick * self.timestep, tick - before, names, control, tick
+            )
+            before = tick
+
+
+def between(timing: Timing, frame_skip: int) -> bool:
+    """Whether a channel samples between the ends of control periods."""
+    return bool(
+        timing.jitter or timing.uneven or timing.period % frame_skip or timing.phase % frame_skip
+    )
 
 
 def instants(
@@ -159,27 +238,9 @@ def instants(
         ScenarioError: more than `MOST_INSTANTS`, or a jitter that would change the readings' order.
     """
     _check_count(channels, timestep, frame_skip, duration)
-    last_tick = max(1, round(duration / (timestep * frame_skip))) * frame_skip
-    ticks = set(range(frame_skip, last_tick + 1, frame_skip))
-    due: dict[int, list[str]] = {}
-    for name, timing in channels:
-        if timing.jitter and 2 * timing.jitter >= timing.period:
-            raise ScenarioError(
-                f"channels.{name}.jitter is {timing.jitter * timestep:g} s; it must be less than "
-                f"half the period {timing.period * timestep:g} s, or readings would change order"
-            )
-        for tick in timing.due(last_tick).tolist():
-            due.setdefault(tick, []).append(name)
-            around = range(tick - timing.jitter, tick + timing.jitter + 1)
-            ticks.update(t for t in around if 0 < t <= last_tick)
-    out: list[Instant] = []
-    before = 0
-    for tick in sorted(ticks):
-        names = tuple(due.get(tick, ()))
-        control = before % frame_skip == 0
-        out.append(Instant(before * timestep, tick * timestep, tick - before, names, control, tick))
-        before = tick
-    return out
+    count = max(1, round(duration / (timestep * frame_skip)))
+    schedule = Schedule(channels, timestep, frame_skip, count * frame_skip)
+    return [instant for k in range(count) for instant in schedule.period(k)]
 
 
 def _check_count(
@@ -187,12 +248,8 @@ def _check_count(
 ) -> None:
     """Refuse a run whose instants would not fit into memory, before any of them is made."""
     # What falls on the filter's steps adds no instant, nor does a rhythm that another channel has.
-    between = {
-        timing
-        for _, timing in channels
-        if timing.jitter or timing.uneven or timing.period % frame_skip or timing.phase % frame_skip
-    }
-    rates = [(2 * t.jitter + 1) / (t.uneven[1] if t.uneven else t.period) for t in between]
+    added = {timing for _, timing in channels if between(timing, frame_skip)}
+    rates = [(2 * t.jitter + 1) / (t.uneven[1] if t.uneven else t.period) for t in added]
     ticks = duration / timestep
     steps, count = ticks / frame_skip, ticks * min(1.0, 1 / frame_skip + sum(rates))
     if count > MOST_INSTANTS:

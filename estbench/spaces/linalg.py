@@ -106,6 +106,16 @@ def solve_lower_transposed(lower: Array, b: Array) -> Array:
     return x
 
 
+def row_product(rows: Array, factor: Array) -> Array:
+    """Each row v of `(run, k)` as F v `(run, n)`, for F `(n, k)`.
+
+    BLAS rounds the product of one row otherwise than that of many: one row is taken twice.
+    """
+    if len(rows) == 1:
+        return (rows.repeat(2, axis=0) @ factor.T)[:1]
+    return rows @ factor.T
+
+
 def weighted(weights: Array, points: Array) -> Array:
     """Σ wᵢ pᵢ `(..., k)` for weights `(point,)` or `(..., point)` and points `(..., point, k)`."""
     return weights @ points if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]
