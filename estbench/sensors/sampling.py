@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.randomness import streams
-from estbench.sensors import imperfections
 from estbench.sensors.channel import Channel
+from estbench.sensors.imperfections import advance, respond, start
 from estbench.sensors.timing import Instant
 from estbench.shapes import Array, Mask
 
@@ -54,17 +54,17 @@ class Readings:
         self._due = np.searchsorted(ticks, due)
         self._times = timing.timestep * due.astype(np.float64)
         self._noise = channel.noise(seed, runs, self._times)
-        part = channel.part
-        if part is not None:
+        imperfections = channel.imperfections
+        if imperfections is not None:
             purpose = f"sensor:{name}:"
             normals = {k: streams.normals(seed, runs, purpose + k, len(due), w)
-                       for k, w in part.normals(m).items()}  # fmt: skip
+                       for k, w in imperfections.normals(m).items()}  # fmt: skip
             uniforms = {k: streams.uniforms(seed, runs, purpose + k, len(due), w)
-                        for k, w in part.uniforms().items()}  # fmt: skip
+                        for k, w in imperfections.uniforms().items()}  # fmt: skip
             constants = {k: streams.normals(seed, runs, purpose + k, 1, w)[0]
-                         for k, w in part.constants(m).items()}  # fmt: skip
+                         for k, w in imperfections.constants(m).items()}  # fmt: skip
             self._draws = normals | uniforms
-            self._state = imperfections.start(part, constants, len(runs), m)
+            self._state = start(imperfections, constants, len(runs), m)
         self._advanced = -1
         self._punctual = timing.punctual
         if self._punctual:
@@ -106,15 +106,15 @@ class Readings:
             clean: noise-free readings `(run, ny)`.
             rows: runs that take it now `(run,)`; None is all.
         """
-        channel, part = self.channel, self.channel.part
-        if part is None:
+        channel, imperfections = self.channel, self.channel.imperfections
+        if imperfections is None:
             exact = not channel.cov.any()  # ⊞ 0 would round a quaternion
             return (clean if exact else channel.space.plus(clean, self._noise[j])), None
         if j != self._advanced:
             draws = {purpose: values[j] for purpose, values in self._draws.items()}
-            self._state = imperfections.advance(
-                part, self._noise[j], self._state, draws, float(self._times[j])
+            self._state = advance(
+                imperfections, self._noise[j], self._state, draws, float(self._times[j])
             )
             self._advanced = j
-        y, self._state = imperfections.respond(part, channel.space, clean, self._state, rows)
-        return y, ~self._state.lost if part.dropout else None
+        y, self._state = respond(imperfections, channel.space, clean, self._state, rows)
+        return y, ~self._state.lost if imperfections.dropout else None
