@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
 from estbench.envs.merge import select
 from estbench.randomness import counter as random
-from estbench.sensors import imperfections
 from estbench.sensors.channel import Channel
+from estbench.sensors.imperfections import Draws, State, deliver, start
 from estbench.shapes import Array
 from estbench.spaces.manifold import Manifold
 
@@ -87,33 +87,37 @@ class Flawed:
     def __init__(self, channel: Channel, rows: int, quiet: bool = False):
         self.channel, self._rows = channel, rows
         self._quiet = quiet
-        word, part = f"sensor:{channel.name}", channel.part
+        word, imperfections = f"sensor:{channel.name}", channel.imperfections
         self._white = RowNoise(rows, {word: channel.space.n})
-        normals: dict[str, int] = {} if part is None else part.normals(channel.space.n)
-        uniforms: dict[str, int] = {} if part is None else part.uniforms()
+        normals: dict[str, int] = {}
+        uniforms: dict[str, int] = {}
+        if imperfections is not None:
+            normals = imperfections.normals(channel.space.n)
+            uniforms = imperfections.uniforms()
         self._draws = [
             (named, RowNoise(rows, {f"{word}:{k}": w for k, w in named.items()}, kind))
             for named, kind in ((normals, random.normal), (uniforms, random.uniform))
             if named
         ]
-        self._state: imperfections.State | None = None
+        self._state: State | None = None
 
     def start(self, mask: Mask, keys: Keys, clean: Array) -> None:
         """As `Source.start`; constants such as a bias are drawn."""
         self._white.start(mask, keys)
         for _, noise in self._draws:
             noise.start(mask, keys)
-        part, m = self.channel.part, self.channel.space.n
-        if part is None:
+        imperfections, m = self.channel.imperfections, self.channel.space.n
+        if imperfections is None:
             return
         draws, zero = {}, np.zeros(len(keys), np.uint64)
-        for name, width in part.constants(m).items():
+        for name, width in imperfections.constants(m).items():
             draws[name] = np.zeros((self._rows, width))
             number = purpose(f"sensor:{self.channel.name}:{name}")
             draws[name][mask] = random.normal(keys, zero, number, width)
-        fresh = imperfections.start(part, draws, self._rows, m)
+        fresh = start(imperfections, draws, self._rows, m)
         # A row keeps its own time; `deliver` takes it as it takes a number.
-        fresh = replace(fresh, time=np.zeros((self._rows, 1)), last=clean if part.stuck else None)
+        last = clean if imperfections.stuck else None
+        fresh = replace(fresh, time=np.zeros((self._rows, 1)), last=last)
         self._state = fresh if self._state is None else select(mask, fresh, self._state, "sensor")
 
     def read(
@@ -127,16 +131,16 @@ class Flawed:
             for t in np.unique(time):
                 rows = time == t
                 noise[rows] = channel.coloured(white[rows], float(t))
-        if channel.part is None or self._state is None:
+        if channel.imperfections is None or self._state is None:
             return channel.space.plus(clean, noise), None
-        draws: imperfections.Draws = {}
+        draws: Draws = {}
         for named, source in self._draws:
-            values, start = source.draw(due), 0
+            values, first = source.draw(due), 0
             for name, width in named.items():
-                draws[name] = values[:, start : start + width]
-                start += width
-        y, arrives, state = imperfections.deliver(
-            channel.part, channel.space, clean, noise, self._state, draws,
+                draws[name] = values[:, first : first + width]
+                first += width
+        y, arrives, state = deliver(
+            channel.imperfections, channel.space, clean, noise, self._state, draws,
             time[:, None],  # pyright: ignore[reportArgumentType]
         )  # fmt: skip
         if keep:

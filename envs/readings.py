@@ -95,7 +95,9 @@ class Readings:
         self._late = [group for group in self._groups if group.delay is not None]
         self._plans: dict[tuple[int, ...], Plan] = {}
         # A stuck sensor repeats what it saw, so it has to have seen something.
-        self._look = look or any(c.part is not None and c.part.stuck for c in channels)
+        self._look = look or any(
+            c.imperfections is not None and c.imperfections.stuck for c in channels
+        )
         self.tick = np.zeros(rows, np.int64)
         self.latest, self._together = 0, False
         self._no_row = np.zeros(rows, bool)
@@ -231,7 +233,7 @@ class Readings:
         """Noise-free readings `(row, ny)` of some groups."""
         chosen = [self._groups[i] for i in groups]
         if groups not in self._plans:
-            sources = [self.channels[c].source for g in chosen for c in g.channels]
+            sources = [self.channels[c].measurand for g in chosen for c in g.channels]
             self._plans[groups] = Plan(self._model, sources)
         y, out, start = self._plans[groups].read(self._rows, x, u, t), [], 0
         for group in chosen:
@@ -243,7 +245,7 @@ class Readings:
         """Channels with white noise only and one rhythm together, every other one by itself."""
         members: dict[tuple[int, int, int], list[int]] = {}
         for i, c in enumerate(self.channels):
-            plain = c.part is None and c.schedule is None and c.timing.punctual
+            plain = c.imperfections is None and c.schedule is None and c.timing.punctual
             key = (c.timing.period, c.timing.phase, -1 if plain else i)
             members.setdefault(key, []).append(i)
         starts = np.cumsum([0] + [c.space.nx for c in self.channels])

@@ -135,7 +135,7 @@ def render_check(resolved: Scenario) -> Group:
             " ".join(f"{s:.3g}" for s in std),
             channel.space.units[0],
             f"{1 / (channel.period * model.opt.timestep):g} Hz",
-            STAGES[max((model.sensor_needstage[i] for i in channel.source.sensors), default=0)],
+            STAGES[max((model.sensor_needstage[i] for i in channel.measurand.sensors), default=0)],
         )
     control = resolved.control
     lines = [

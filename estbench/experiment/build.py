@@ -163,16 +163,16 @@ def believed_channels(
     for channel in channels:
         belief = section.channels.get(channel.name, BelievedChannelSection())
         R, scale = _believed_noise(channel, belief, section.measurement_noise_scale, duration)
-        source = channel.source
-        if not source.function:
+        measurand = channel.measurand
+        if not measurand.function:
             missing = [name for name in channel.sensors if name not in names]
             if missing:
                 raise ScenarioError(
                     f"filter.path: the filter's model has no sensor {', '.join(missing)}"
                 )
             indices = [names.index(name) for name in channel.sensors]
-            source = Measurand.of_sensors(model, *indices, axes=source.axes)
-        out.append(SensorChannel(channel.name, -1, R, scale, source))
+            measurand = Measurand.of_sensors(model, *indices, axes=measurand.axes)
+        out.append(SensorChannel(channel.name, -1, R, scale, measurand))
     return tuple(out)
 
 

@@ -61,38 +61,40 @@ def words(channel: Channel) -> Iterator[str]:
         yield "noise by schedule"
     if not np.allclose(channel.cov, np.diag(np.diag(channel.cov))):
         yield "correlated noise"
-    if channel.part is not None:
-        yield from _flaws(channel.part)
+    if channel.imperfections is not None:
+        yield from _flaws(channel.imperfections)
     if timing.jitter:
         yield f"jitter ± {1e3 * timing.jitter * timing.timestep:.3g} ms"
 
 
-def _flaws(part: Imperfections) -> Iterator[str]:
-    if part.bias.any():
-        yield f"bias {numbers(part.bias)}"
-    if part.walk.any():
-        yield f"bias walk {numbers(part.walk)}/√s"
-    if part.drift.any():
-        yield f"drift {numbers(part.drift)} over {part.drift_time:g} s"
-    if part.scale_factor.any():
-        yield f"scale factor {numbers(100 * part.scale_factor)}%"
-    if part.misalignment:
-        yield f"misaligned {part.misalignment:.3g} rad"
-    if part.student_dof:
-        yield f"Student-t noise, {part.student_dof:g} degrees of freedom"
-    if part.outlier_probability:
-        yield f"{100 * part.outlier_probability:.3g}% outliers x {part.outlier_scale:g}"
-    if np.isfinite(part.cutoff).any():
-        yield f"saturates at ± {numbers(part.cutoff[np.isfinite(part.cutoff)])}"
-    if part.quantization.any():
-        yield f"steps of {numbers(part.quantization)}"
-    if part.deadband.any():
-        yield f"deadband {numbers(part.deadband)}"
-    if part.stuck:
-        yield f"{100 * part.stuck:.3g}% get stuck for {part.stuck_length:g}"
-    if part.dropout:
-        gaps = f" in gaps of {part.dropout_length:g}" if part.dropout_length > 1 else ""
-        yield f"{100 * part.dropout:.3g}% lost{gaps}"
+def _flaws(imperfections: Imperfections) -> Iterator[str]:
+    if imperfections.bias.any():
+        yield f"bias {numbers(imperfections.bias)}"
+    if imperfections.walk.any():
+        yield f"bias walk {numbers(imperfections.walk)}/√s"
+    if imperfections.drift.any():
+        yield f"drift {numbers(imperfections.drift)} over {imperfections.drift_time:g} s"
+    if imperfections.scale_factor.any():
+        yield f"scale factor {numbers(100 * imperfections.scale_factor)}%"
+    if imperfections.misalignment:
+        yield f"misaligned {imperfections.misalignment:.3g} rad"
+    if imperfections.student_dof:
+        yield f"Student-t noise, {imperfections.student_dof:g} degrees of freedom"
+    if imperfections.outlier_probability:
+        share = 100 * imperfections.outlier_probability
+        yield f"{share:.3g}% outliers x {imperfections.outlier_scale:g}"
+    if np.isfinite(imperfections.cutoff).any():
+        yield f"saturates at ± {numbers(imperfections.cutoff[np.isfinite(imperfections.cutoff)])}"
+    if imperfections.quantization.any():
+        yield f"steps of {numbers(imperfections.quantization)}"
+    if imperfections.deadband.any():
+        yield f"deadband {numbers(imperfections.deadband)}"
+    if imperfections.stuck:
+        yield f"{100 * imperfections.stuck:.3g}% get stuck for {imperfections.stuck_length:g}"
+    if imperfections.dropout:
+        length = imperfections.dropout_length
+        gaps = f" in gaps of {length:g}" if length > 1 else ""
+        yield f"{100 * imperfections.dropout:.3g}% lost{gaps}"
 
 
 def _believed(setup: Setup) -> Iterator[str]:

@@ -78,10 +78,11 @@ class Figures:
         """Those of a channel's noise and drifts."""
         period = channel.timing.period * channel.timing.timestep
         density = float(np.sqrt(channel.cov[axis, axis] * period))
-        part = channel.part
-        if part is None:
+        imperfections = channel.imperfections
+        if imperfections is None:
             return cls(density)
-        return cls(density, float(part.walk[axis]), float(part.drift[axis]), part.drift_time)
+        walk, drift = float(imperfections.walk[axis]), float(imperfections.drift[axis])
+        return cls(density, walk, drift, imperfections.drift_time)
 
     def expected(self, taus: Array) -> Array:
         """The Allan deviation `(tau,)` at averaging times `(tau,)`, s."""
@@ -99,8 +100,8 @@ def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> 
     Raises:
         EstbenchError: the channel reads an attitude, or loses or delays readings.
     """
-    part = channel.part
-    if not channel.space.flat or not channel.timing.punctual or (part and part.dropout):
+    gaps = channel.imperfections is not None and channel.imperfections.dropout > 0
+    if gaps or not channel.space.flat or not channel.timing.punctual:
         raise EstbenchError(
             f"channel '{channel.name}' has a quaternion, gaps, jitter or latency; an Allan "
             "deviation needs evenly spaced numbers"

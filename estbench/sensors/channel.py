@@ -14,8 +14,7 @@ from estbench.randomness import streams
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
-from estbench.sensors import datasheet, schedules
-from estbench.sensors import source as channel_source
+from estbench.sensors import datasheet, measurands, schedules
 from estbench.sensors.imperfections import Imperfections
 from estbench.sensors.timing import Native, Timing
 from estbench.shapes import Array
@@ -30,30 +29,30 @@ class Channel:
 
     Attributes:
         name: the MuJoCo sensor's name, or the scenario's for what is not one sensor.
-        source: its noise-free reading.
+        measurand: what it reads, without noise.
         sensors: names of the MuJoCo sensors it reads; none for a function.
         kind: type of the sensor(s), or `function`.
         cov: R `(m, m)`; where a schedule gives R itself, that of t = 0.
         columns: where the reading stands in sensordata; none for a function.
         timing: rate, phase, jitter, latency.
-        part: biases, quantization, faults, ...; None for white noise only.
+        imperfections: biases, quantization, faults, ...; None for white noise only.
         schedule: factor on the noise's std, or R itself, over time; or None.
     """
 
     name: str
-    source: Measurand
+    measurand: Measurand
     sensors: tuple[str, ...]
     kind: str
     cov: Array
     columns: NDArray[np.intp]
     timing: Timing
-    part: Imperfections | None = None
+    imperfections: Imperfections | None = None
     schedule: schedules.Schedule | None = None
 
     @property
     def space(self) -> Manifold:
         """The manifold of its reading; names and units."""
-        return self.source.space
+        return self.measurand.space
 
     @property
     def index(self) -> int:
@@ -62,11 +61,11 @@ class Channel:
         Raises:
             ScenarioError: it is several together, or a function of the state.
         """
-        if len(self.source.sensors) != 1 or self.source.axes is not None:
+        if len(self.measurand.sensors) != 1 or self.measurand.axes is not None:
             raise ScenarioError(
                 f"channels.{self.name} is no single MuJoCo sensor, which is all that this knows"
             )
-        return self.source.sensors[0]
+        return self.measurand.sensors[0]
 
     @property
     def period(self) -> int:
@@ -132,33 +131,35 @@ def build(
     channels, notices = [], _idle(sections, use)
     for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
-        source, kind = channel_source.build(name, section, model, names)
+        measurand, kind = measurands.build(name, section, model, names)
         timing = _timing(
             section, where, model.opt.timestep, frame_skip,
-            [(native or {}).get(names[i], Native()) for i in source.sensors],
+            [(native or {}).get(names[i], Native()) for i in measurand.sensors],
         )  # fmt: skip
         rate = 1.0 / (timing.period * timing.timestep)
         belief = (believed or {}).get(name, BelievedChannelSection())
         exact = belief.noise is not None or belief.cov is not None
-        std = _per_axis(model, source, model.sensor_noise)
+        std = _per_axis(model, measurand, model.sensor_noise)
         schedule = schedules.build(
-            section.schedule, source.space.n, duration, f"{where}.schedule"
+            section.schedule, measurand.space.n, duration, f"{where}.schedule"
         )  # fmt: skip
         constants = "noise", "noise_density", "cov"
         notices += schedules.unused(schedule, section, constants, where)
-        cov, assumed = schedules.whole(schedule), np.zeros(source.space.n)
+        cov, assumed = schedules.whole(schedule), np.zeros(measurand.space.n)
         if cov is None:
-            cov, assumed = datasheet.covariance(section, where, source.space, std, rate, exact)
+            cov, assumed = datasheet.covariance(section, where, measurand.space, std, rate, exact)
         if assumed.any():
             guess = dict.fromkeys(
-                f"{s:g} {unit}" for s, unit in zip(assumed, source.space.units) if s
+                f"{s:g} {unit}" for s, unit in zip(assumed, measurand.space.units) if s
             )
             notices.append(f"{name}: no noise given; assuming {', '.join(guess)}")
-        cutoff = _per_axis(model, source, native_cutoff(model), np.inf)
-        part = datasheet.imperfections(section, where, source.space, cutoff)
-        read = tuple(names[i] for i in source.sensors)
-        columns = source.columns(model)
-        channels.append(Channel(name, source, read, kind, cov, columns, timing, part, schedule))
+        cutoff = _per_axis(model, measurand, native_cutoff(model), np.inf)
+        imperfections = datasheet.imperfections(section, where, measurand.space, cutoff)
+        read = tuple(names[i] for i in measurand.sensors)
+        columns = measurand.columns(model)
+        channels.append(
+            Channel(name, measurand, read, kind, cov, columns, timing, imperfections, schedule)
+        )
     if not channels:
         raise ScenarioError(f"no sensor: the MJCF declares none in use; {_ADD}")
     return channels, notices
@@ -226,14 +227,14 @@ def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Ar
 
 
 def _per_axis(
-    model: mujoco.MjModel, source: Measurand, values: Array, default: float = 0.0
+    model: mujoco.MjModel, measurand: Measurand, values: Array, default: float = 0.0
 ) -> Array:
-    """A number a sensor `(nsensor,)` as one a tangent coordinate of the source `(m,)`."""
-    if not source.sensors:
-        return np.full(source.space.n, default)
-    widths = [layout.sensor_space(model, [i]).n for i in source.sensors]
-    out = np.repeat(values[list(source.sensors)], widths)
-    return out if source.axes is None else out[list(source.axes)]
+    """A number a sensor `(nsensor,)` as one a tangent coordinate of the measurand `(m,)`."""
+    if not measurand.sensors:
+        return np.full(measurand.space.n, default)
+    widths = [layout.sensor_space(model, [i]).n for i in measurand.sensors]
+    out = np.repeat(values[list(measurand.sensors)], widths)
+    return out if measurand.axes is None else out[list(measurand.axes)]
 
 
 def _timing(

@@ -124,7 +124,7 @@ def imperfections(
     if section.counts_per_revolution is not None:
         step = np.full(space.n, 2 * np.pi / section.counts_per_revolution)
     limit = cutoff if section.cutoff is None else np.full(space.n, section.cutoff)
-    part = Imperfections(
+    built = Imperfections(
         bias=axes("bias"),
         walk=axes("bias_walk"),
         drift=drift,
@@ -142,9 +142,9 @@ def imperfections(
         stuck=section.stuck,
         stuck_length=section.stuck_length,
     )
-    ideal = not (part.normals(1) or part.uniforms() or part.constants(1))
-    transfer = np.isfinite(limit).any() or part.quantization.any() or part.deadband.any()
-    return None if ideal and not transfer else part
+    ideal = not (built.normals(1) or built.uniforms() or built.constants(1))
+    transfer = np.isfinite(limit).any() or built.quantization.any() or built.deadband.any()
+    return None if ideal and not transfer else built
 
 
 def _check(section: ChannelSection, where: str, space: Manifold) -> None:

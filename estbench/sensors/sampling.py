@@ -52,7 +52,7 @@ class Sampler:
 
     def __init__(self, channel: Channel, rows: int, last: int | None = None):
         self.channel, self._rows, self._last = channel, rows, last
-        timing, name, m, part = channel.timing, channel.name, channel.space.n, channel.part
+        timing, name, m, part = channel.timing, channel.name, channel.space.n, channel.imperfections
         block = BLOCK if last is None else len(timing.due(last))
         self._noise = RowDraws(
             rows, f"sensor:{name}", m, block=block,
@@ -93,8 +93,8 @@ class Sampler:
             self._jitter.start(rows, seed, runs)
         if timing.latency_std:
             self._latency.start(rows, seed, runs)
-        if self.channel.part is not None:
-            self._switch_on(self.channel.part, rows, here, seed, runs)
+        if self.channel.imperfections is not None:
+            self._switch_on(self.channel.imperfections, rows, here, seed, runs)
         self._begin[rows], self._number[rows] = tick, 0
         self._plan(here)
         self._waiting = [
@@ -174,7 +174,7 @@ class Sampler:
             here: rows that take it; None is all.
             due: ticks since the episode began at which it is due, of all rows or `(row,)`.
         """
-        channel, part = self.channel, self.channel.part
+        channel, part = self.channel, self.channel.imperfections
         self._drawn = here
         noise = self._noise.draw(here)
         if channel.schedule is not None:

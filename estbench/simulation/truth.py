@@ -105,7 +105,7 @@ class Simulator:
         """Noise-free readings `(run, ny)` of some channels, one after the other."""
         key = tuple(c.name for c in channels)
         if key not in self._plans:
-            self._plans[key] = Plan(self._model, [c.source for c in channels])
+            self._plans[key] = Plan(self._model, [c.measurand for c in channels])
         return self._plans[key].read(self._rows, x, u, t)
 
     def _observe(self, k: int, t: float, x: Array, u: Array) -> list[Delivery]:

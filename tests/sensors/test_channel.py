@@ -266,8 +266,8 @@ def test_what_is_taken_together_has_the_noise_and_cutoff_of_each():
     (both,), notices = build(model=model, both={"of": ["v", "a"]})
     np.testing.assert_allclose(np.sqrt(np.diag(both.cov)), [0.02, 0.25])
     assert notices == ["both: no noise given; assuming 0.02 m/s"]
-    assert both.part is not None
-    np.testing.assert_array_equal(both.part.cutoff, [np.inf, 3.0])
+    assert both.imperfections is not None
+    np.testing.assert_array_equal(both.imperfections.cutoff, [np.inf, 3.0])
 
 
 def test_some_axes_of_a_sensor():
@@ -281,8 +281,8 @@ def test_some_axes_of_a_sensor():
     (one,), _ = build(model=model, one={"of": ["v", "a"], "axes": [1]})
     assert one.space.names == ("a",)
     assert one.cov == 0.25**2
-    assert one.part is not None
-    np.testing.assert_array_equal(one.part.cutoff, [3.0])
+    assert one.imperfections is not None
+    np.testing.assert_array_equal(one.imperfections.cutoff, [3.0])
 
 
 def test_a_function_of_the_state_is_a_channel():
