@@ -26,7 +26,7 @@ from estbench.scenario.schema import BelievedChannelSection, Scenario, StartSect
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
-from estbench.sensors.timing import Instant
+from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array
 from estbench.simulation import controllers
 from estbench.simulation.truth import Simulator
@@ -154,18 +154,40 @@ class Setup:
         return max(late, default=0) + slack
 
     def simulator(self, runs: Sequence[int]) -> Simulator:
-        """The true robot for some runs."""
+        """The true robots of some runs at their start."""
+        out = self.robots(len(runs), self.instants)
+        u0 = np.repeat(self.plant.u0[None], len(runs), axis=0)
+        out.start(np.arange(len(runs)), self.scenario.simulation.seed, runs, u0)
+        return out
+
+    def robots(
+        self,
+        rows: int,
+        instants: Sequence[Instant] | None = None,
+        nthread: int = 1,
+        look: bool = False,
+    ) -> Simulator:
+        """The true robot in many rows; see `Simulator`."""
+        factor = np.asarray(np.linalg.cholesky(self.cov), np.float64)
         return Simulator(
             self.plant.model,
             self.space,
             self.channels,
-            self.instants,
+            self.schedule,
             self.disturbance,
-            (self.mean, np.asarray(np.linalg.cholesky(self.cov), np.float64)),
+            (self.mean, factor),
             self.scenario.truth.draw,
-            self.scenario.simulation.seed,
-            runs,
+            rows,
+            instants,
+            nthread,
+            look,
         )
+
+    @property
+    def schedule(self) -> Schedule:
+        """The instants of an episode without an end."""
+        named = [(c.name, c.timing) for c in self.channels]
+        return Schedule(named, float(self.plant.model.opt.timestep), self.plant.nstep)
 
     def controller(self, runs: Sequence[int]) -> controllers.Controller:
         """The controller for some runs, its errors made clear."""

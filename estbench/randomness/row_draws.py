@@ -74,7 +74,7 @@ class RowDraws:
         if mask is None and self._together is not None:
             place = self._together % self._length
             if place == 0 and self._together:
-                for row in self._every:
+                for row in range(len(self._every)):
                     self._fill(row)
             self._together += 1
             return self._block[place]
@@ -84,7 +84,7 @@ class RowDraws:
         empty = (place == 0) & (self._count > 0)
         if mask is not None:
             empty &= mask
-        for row in np.flatnonzero(empty):
+        for row in np.flatnonzero(empty).tolist():
             self._fill(row)
         self._count += 1 if mask is None else mask
         return self._block[place, self._every]

@@ -74,13 +74,15 @@ class Rows:
             batch.expand(field)[:, index] = values
             batch.set_const()
 
-    def step(self, x: Array, u: Array, t: float, nstep: int, force: Array | None = None) -> Array:
+    def step(
+        self, x: Array, u: Array, t: float | Array, nstep: int, force: Array | None = None
+    ) -> Array:
         """States `(..., nx)` after `nstep` physics steps.
 
         Args:
             x: `(run, nx)` or `(run, point, nx)`.
             u: controls, broadcast against x's leading axes: `(run, nu)` or `(run, point, nu)`.
-            t: time at the start, s.
+            t: time at the start, s; `(run, 1)` where the runs differ.
             nstep: physics steps.
             force: generalized forces `(run, point, nv)` held over the steps.
         """
@@ -95,7 +97,9 @@ class Rows:
             out.reshape(-1, self.nx)[bad] = np.nan
         return out
 
-    def read(self, x: Array, u: Array, t: float, stage: int, columns: NDArray[np.intp]) -> Array:
+    def read(
+        self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
+    ) -> Array:
         """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
         looks = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
         batch, _, bad = self._load(x, u, t, "look" if looks else "feel")
@@ -124,7 +128,7 @@ class Rows:
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
     def _load(
-        self, x: Array, u: Array, t: float, use: mjcf.Use
+        self, x: Array, u: Array, t: float | Array, use: mjcf.Use
     ) -> tuple[Batch, Array, Mask | None]:
         """Write states and controls; rows that are not finite are parked at rest and returned."""
         lead = x.shape[:-1]

@@ -22,7 +22,12 @@ from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.batch import Rows
 from estbench.robots.layout import actuator_names
 from estbench.shapes import Array
-from estbench.spaces.linalg import is_positive_semidefinite, psd_factor, rescaled
+from estbench.spaces.linalg import (
+    is_positive_semidefinite,
+    psd_factor,
+    rescaled,
+    row_product,
+)
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 
@@ -129,10 +134,22 @@ class Disturbance:
             return self.scale * value
         return rescaled(self.density, np.sqrt(value))
 
-    def sample(self, white: Array, t: float, dt: float) -> Array:
-        """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
+    def sample(self, white: Array, t: float | Array, dt: float | Array) -> Array:
+        """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`.
+
+        Args:
+            white: standard normals `(run, rank)`.
+            t: start of the interval, s; `(run, 1)` where the runs differ, as has then dt.
+            dt: its length, s.
+        """
         size = np.sqrt(dt) if self.kind == "additive" else np.sqrt(1.0 / dt)
-        return white @ self.root(t).T * size
+        if self.schedule is None or isinstance(t, float):
+            return row_product(white, self.root(float(np.ravel(t)[0]))) * size
+        out = np.empty((len(white), len(self.density)))
+        for now in np.unique(t):
+            here = t[:, 0] == now
+            out[here] = row_product(white[here], self.root(float(now)))
+        return out * size
 
     def covariance(
         self, rows: Rows, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.randomness import streams
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
@@ -78,13 +77,6 @@ class Channel:
         exact = np.diag(self.cov) == 0.0
         factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
         return factor.astype(np.float64)
-
-    def noise(self, seed: int, runs: Sequence[int], times: Array) -> Array:
-        """White v ~ N(0, R) `(len(times), run, m)` of readings that are due at these times, s."""
-        white = streams.normals(seed, runs, f"sensor:{self.name}", len(times), self.space.n)
-        if self.schedule is None:
-            return self.coloured(white, 0.0)
-        return np.stack([self.coloured(w, float(t)) for w, t in zip(white, times)])
 
     def coloured(self, white: Array, t: float) -> Array:
         """Noise ~ N(0, R) `(..., m)` of readings due at t, s, from standard normals `(..., m)`."""

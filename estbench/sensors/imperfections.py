@@ -99,10 +99,10 @@ class State:
         drift: Gauss-Markov part `(run, m)`.
         error: what this reading adds to the true one: bias, drift and noise `(run, m)`.
         gain: matrix that multiplies the true reading `(run, m, m)`, or None for the identity.
-        last: last delivered reading `(run, ny)`, or None before the first.
+        last: last delivered reading `(run, ny)`, or None where none has been kept.
         stuck: in a stuck-at fault `(run,)`.
         lost: in a gap; this reading does not arrive `(run,)`.
-        time: of the last reading, s.
+        time: of the last reading, s; 0 before the first; `(run, 1)` where the runs differ.
     """
 
     bias: Array
@@ -112,7 +112,7 @@ class State:
     last: Array | None
     stuck: Mask
     lost: Mask
-    time: float = 0.0
+    time: float | Array = 0.0
 
 
 def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> State:
@@ -160,7 +160,7 @@ def deliver(
 
 
 def advance(
-    imperfections: Imperfections, noise: Array, state: State, draws: Draws, time: float
+    imperfections: Imperfections, noise: Array, state: State, draws: Draws, time: float | Array
 ) -> State:
     """The sensor at its next reading: its error, and whether it is stuck or the reading lost."""
     step, first = time - state.time, np.ravel(state.time) == 0.0

@@ -7,6 +7,7 @@ the stream of the run that a row is in, so a run is the same in any company.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class Sampler:
         block = BLOCK if last is None else len(timing.due(last))
         self._noise = RowDraws(
             rows, f"sensor:{name}", m, block=block,
-            shape=channel.coloured if channel.schedule is None else None,
+            shape=partial(channel.coloured, t=0.0) if channel.schedule is None else None,
         )  # fmt: skip
         normals, uniforms = ({}, {}) if part is None else (part.normals(m), part.uniforms())
         self._draws = {
@@ -124,11 +125,27 @@ class Sampler:
             if not (timing.latency or timing.latency_std):
                 return [delivery]
             self._send(delivery, number)
-        if tick < self._soonest:
-            return []
-        arrived = [delivery for at, delivery in self._waiting if at <= tick]
-        self._waiting = [(at, delivery) for at, delivery in self._waiting if at > tick]
-        self._soonest = min((at for at, _ in self._waiting), default=NEVER)
+        return self._receive(tick, moved) if tick >= self._soonest else []
+
+    def _receive(self, tick: int, moved: Mask | None) -> list[Delivery]:
+        """What has arrived by now, in the order in which it was sent, in the rows that go on."""
+        arrived: list[Delivery] = []
+        waiting: list[tuple[int, Delivery]] = []
+        for at, delivery in self._waiting:
+            if at > tick:
+                waiting.append((at, delivery))
+                continue
+            if moved is None:
+                arrived.append(delivery)
+                continue
+            mask = moved if delivery.mask is None else delivery.mask & moved
+            if mask.any():
+                arrived.append(replace(delivery, mask=mask))
+            rest = ~moved if delivery.mask is None else delivery.mask & ~moved
+            if rest.any():
+                waiting.append((at, replace(delivery, mask=rest)))
+        self._waiting = waiting
+        self._soonest = min((at for at, _ in waiting), default=NEVER)
         return arrived
 
     def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, Ints]:
@@ -164,9 +181,7 @@ class Sampler:
             self._waiting.append((arrival, packet))
             self._soonest = min(self._soonest, arrival)
 
-    def _read(
-        self, clean: Array, here: Mask | None, due: int | Ints
-    ) -> tuple[Array, Mask | None]:
+    def _read(self, clean: Array, here: Mask | None, due: int | Ints) -> tuple[Array, Mask | None]:
         """A reading `(row, ny)` with all that the sensor does to it, and who gets it `(row,)`.
 
         Args:
@@ -210,7 +225,11 @@ class Sampler:
             draws[purpose] = np.zeros((self._rows, width))
             name = f"sensor:{self.channel.name}:{purpose}"
             draws[purpose][rows] = streams.normals(seed, runs, name, 1, width)[0]
-        fresh = imperfections.start(part, draws, self._rows, space)
+        fresh = replace(
+            imperfections.start(part, draws, self._rows, space.n),
+            time=np.zeros((self._rows, 1)),  # of each row
+            last=np.zeros((self._rows, space.nx)) if part.stuck else None,
+        )
         old = self._memory
         self._memory = fresh if old is None else select(here, fresh, old, "sensor")
 
