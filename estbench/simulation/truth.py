@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from estbench.randomness import streams
-from estbench.robots import mjcf, parameters
-from estbench.robots.batch import Rows
+from estbench.robots import backend, parameters
+from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.measurement import Plan
 from estbench.scenario.schema import Draw
@@ -70,7 +70,7 @@ class Simulator:
     ):
         self.instants = instants
         self._model, self._space, self._disturbance = model, space, disturbance
-        self._rows = Rows(model)
+        self._backend, self._range = backend.create(model), ControlRange.of(model)
         self._channels = {c.name: c for c in channels}
         mean, factor = initial
         self.x0 = space.plus(mean, streams.normals(seed, runs, "initial", 1, space.n)[0] @ factor.T)
@@ -88,7 +88,7 @@ class Simulator:
         """
         instant = self.instants[k]
         dt = instant.end - instant.start
-        u = mjcf.clamp(self._model, u)
+        u = self._range.clamp(u)
         noise, force, driven = self._disturbance, None, u
         if noise.rank:
             w = noise.sample(self._process[k], instant.start, dt)
@@ -96,7 +96,7 @@ class Simulator:
                 force = w
             elif noise.kind == "actuator":
                 driven = u + w
-        x = self._rows.step(x, driven, instant.start, instant.nstep, force)
+        x = self._backend.step(x, driven, instant.start, instant.nstep, force)
         if noise.rank and noise.kind == "additive":
             x = self._space.plus(x, w)
         return x, self._observe(k, instant.end, x, u)
@@ -106,7 +106,7 @@ class Simulator:
         key = tuple(c.name for c in channels)
         if key not in self._plans:
             self._plans[key] = Plan(self._model, [c.source for c in channels])
-        return self._plans[key].read(self._rows, x, u, t)
+        return self._plans[key].read(self._backend, x, u, t)
 
     def _observe(self, k: int, t: float, x: Array, u: Array) -> list[Delivery]:
         """Take the readings that are due, and hand out those that arrive."""
@@ -126,7 +126,7 @@ class Simulator:
         field, index = parameters.parameter(self._model, key, "truth.draw")
         value = getattr(self._model, field)[index]
         z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
-        self._rows.vary(
+        self._backend.vary(
             len(runs), field, index, parameters.drawn(value, draw.relative_std, draw.std, z)
         )
 
