@@ -20,7 +20,7 @@ from benchmarks.envs import best
 from estbench.experiment import setup
 from estbench.montecarlo import executors
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.scenario import load as scenario
 
 # 21 sensor values on Gymnasium's ant (n = 28): 8 encoders, pose, velocities of the torso.

@@ -19,7 +19,7 @@ from benchmarks.floor import floor
 from estbench.experiment import setup
 from estbench.montecarlo import executors
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.scenario import load as scenario
 
 TACHOS = [

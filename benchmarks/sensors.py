@@ -21,7 +21,7 @@ from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
 from estbench.inference.event_loop import Recorded, run_filter
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.simulation.truth import simulate
 
 EVERYTHING = (

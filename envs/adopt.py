@@ -14,8 +14,9 @@ from estbench.envs import sensors as kits
 from estbench.envs.errors import EnvError
 from estbench.errors import ScenarioError
 from estbench.robots import added_sensors, mjcf
-from estbench.robots.batch import engine
+from estbench.robots.flags import set_flags
 from estbench.robots.layout import object_name
+from estbench.robots.library import engine
 from estbench.robots.parameters import SETTINGS
 from estbench.sensors import channel as channels_of
 from estbench.sensors.channel import Channel
@@ -164,15 +165,8 @@ def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
         )
     if model.nsensor:
         out.sensor_history[:], out.sensor_delay[:], out.sensor_interval[:] = 0, 0.0, 0.0
-    _set_flags(out)
+    set_flags(out)
     return out
-
-
-def _set_flags(model: mujoco.MjModel) -> None:
-    flags = mujoco.mjtDisableBit
-    model.opt.disableflags |= (
-        flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
-    )
 
 
 def _copy_parameters(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
@@ -191,7 +185,7 @@ def _copy_parameters(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
                 getattr(target.opt, name)[...] = value
             elif not callable(value):
                 setattr(target.opt, name, value)
-    _set_flags(target)
+    set_flags(target)
 
 
 def _at_site(add: Any) -> Any:

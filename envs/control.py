@@ -19,7 +19,6 @@ from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.executors import cpu_count
-from estbench.robots.batch import engine
 from estbench.scenario.load import Chosen
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
@@ -142,22 +141,21 @@ def compare(
     tables = {TRUTH: None} | {k: {"type": k, **v} for k, v in resolved.estimators.items()}
     tables |= {RAW: {"type": "estbench.envs.raw:RawReadings"}}
     threads = cpu_count()
-    with engine():
-        worlds = {
-            label: World(prepare(resolved, table, None, ()), runs, table is not None, threads)
-            for label, table in tables.items()
-        }
-        first = worlds[TRUTH]
-        steps, begin = first.task.steps, resolved.simulation.seed if seed is None else seed
-        control = controllers.checked(
-            controllers.build(resolved.control, first.setup.plant, begin, range(runs), steps),
-            resolved.control.kind,
-            first.setup.plant.model.nu,
-        )
-        sources = []
-        for done, (label, world) in enumerate(worlds.items()):
-            tick = progress and (lambda k, at=done: progress(at * steps + k, steps * len(worlds)))
-            sources.append(_drive(label, world, control, begin, tick))
+    worlds = {
+        label: World(prepare(resolved, table, None, ()), runs, table is not None, threads)
+        for label, table in tables.items()
+    }
+    first = worlds[TRUTH]
+    steps, begin = first.task.steps, resolved.simulation.seed if seed is None else seed
+    control = controllers.checked(
+        controllers.build(resolved.control, first.setup.plant, begin, range(runs), steps),
+        resolved.control.kind,
+        first.setup.plant.model.nu,
+    )
+    sources = []
+    for done, (label, world) in enumerate(worlds.items()):
+        tick = progress and (lambda k, at=done: progress(at * steps + k, steps * len(worlds)))
+        sources.append(_drive(label, world, control, begin, tick))
     return Comparison(
         scenario=resolved.name,
         controller=resolved.control.kind,

@@ -12,9 +12,9 @@ from estbench.envs.actions import Actions
 from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import draw_key
-from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
+from estbench.robots.library import hold
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 

@@ -13,8 +13,7 @@ from estbench.envs.errors import EnvError
 from estbench.envs.flaws import Flawed, Source, White
 from estbench.envs.keys import Keys, Mask
 from estbench.envs.replay import Measurement
-from estbench.robots import layout
-from estbench.robots.batch import Rows
+from estbench.robots import backend, layout
 from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
 from estbench.shapes import Array
@@ -89,7 +88,7 @@ class Readings:
         for c in channels:
             self.slots[c.name] = slice(start, start + c.space.n)
             start += c.space.n
-        self._model, self._rows = model, Rows(model, nthread)
+        self._model, self._backend = model, backend.create(model, nthread)
         self._timestep = float(model.opt.timestep)
         self._groups = self._grouped(rows, frozenset(quiet))
         self._late = [group for group in self._groups if group.delay is not None]
@@ -235,7 +234,7 @@ class Readings:
         if groups not in self._plans:
             sources = [self.channels[c].measurand for g in chosen for c in g.channels]
             self._plans[groups] = Plan(self._model, sources)
-        y, out, start = self._plans[groups].read(self._rows, x, u, t), [], 0
+        y, out, start = self._plans[groups].read(self._backend, x, u, t), [], 0
         for group in chosen:
             out.append((group, y[:, start : start + len(group.point)]))
             start += len(group.point)

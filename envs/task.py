@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError
-from estbench.robots import mjcf
+from estbench.robots.controls import ControlRange
 from estbench.robots.layout import actuator_names
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
@@ -71,7 +71,7 @@ class Task:
     def cost(self, x: Array, u: Array) -> Array:
         """Σ wᵢ eᵢ² + Σ rⱼ ũⱼ² `(row,)` of states `(row, nx)` and applied controls `(row, nu)`."""
         e = self.plant.space.minus(x, self.goal)
-        effort = mjcf.clamp(self.plant.model, u) - self.plant.u0
+        effort = ControlRange.of(self.plant.model).clamp(u) - self.plant.u0
         return (self.state_weight * e * e).sum(axis=-1) + (
             self.control_weight * effort * effort
         ).sum(axis=-1)

@@ -5,8 +5,7 @@ import numpy as np
 from estbench.envs.keys import Keys, Mask, RowNoise, purpose
 from estbench.experiment.setup import Setup
 from estbench.randomness import counter as random
-from estbench.robots import parameters
-from estbench.robots.batch import Rows
+from estbench.robots import backend, parameters
 from estbench.shapes import Array
 
 
@@ -27,7 +26,7 @@ class TruthRows:
 
     def __init__(self, setup: Setup, rows: int, nthread: int = 1):
         self._model, self._space = setup.plant.model, setup.space
-        self._rows, self._count = Rows(setup.plant.model, nthread), rows
+        self._backend, self._count = backend.create(setup.plant.model, nthread), rows
         self._mean, self._factor = setup.mean, np.linalg.cholesky(setup.cov)
         self._disturbance = setup.disturbance
         self._noise = RowNoise(rows, {"process": setup.disturbance.rank})
@@ -60,7 +59,7 @@ class TruthRows:
             nominal = getattr(self._model, field)[index]
             z = random.normal(keys, zero, purpose(f"parameter:{key}"), 1)[:, 0]
             values[mask] = parameters.drawn(nominal, draw.relative_std, draw.std, z)
-            self._rows.vary(self._count, field, index, values)
+            self._backend.vary(self._count, field, index, values)
 
     def step(self, u: Array, nstep: int, mask: Mask | None = None) -> Array:
         """True states `(row, nx)` after physics steps under the clamped controls u `(row, nu)`.
@@ -85,7 +84,7 @@ class TruthRows:
             elif noise.kind == "actuator":
                 driven = u + w
         # A row writes its own time: `t` is broadcast against the rows.
-        x = self._rows.step(self.x, driven, t, nstep, force)  # pyright: ignore[reportArgumentType]
+        x = self._backend.step(self.x, driven, t, nstep, force)
         if noise.rank and noise.kind == "additive":
             x = self._space.plus(x, w)
         self.x = x if mask is None else np.where(mask[:, None], x, self.x)

@@ -14,11 +14,11 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import Mask, RowKeys
 from estbench.envs.native import ScenarioEnv
-from estbench.envs.quiet import hold
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.world import World, prepare
 from estbench.montecarlo.executors import cpu_count
+from estbench.robots.library import hold
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 

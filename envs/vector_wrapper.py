@@ -14,11 +14,11 @@ from estbench.envs.actions import check
 from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import Mask, RowKeys
-from estbench.envs.quiet import hold
 from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.truth_info import KEYS
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
+from estbench.robots.library import hold
 from estbench.shapes import Array
 
 States = tuple[Array, Array, Array]

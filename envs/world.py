@@ -18,7 +18,7 @@ from estbench.envs.truth import TruthRows
 from estbench.estimators import registry
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.robots import mjcf
+from estbench.robots.controls import ControlRange
 from estbench.scenario import load as scenarios
 from estbench.shapes import Array
 
@@ -142,7 +142,7 @@ class World:
         Returns:
             Reward, terminated and truncated `(row,)`; 0 and False outside the mask.
         """
-        u = mjcf.clamp(self.setup.plant.model, u)
+        u = ControlRange.of(self.setup.plant.model).clamp(u)
         self.u = u if mask is None else np.where(mask[:, None], u, self.u)
         self.observer.begin()
         for _ in range(self.setup.plant.nstep // self._stride):

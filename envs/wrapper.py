@@ -14,9 +14,9 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.envs.keys import RowKeys
 from estbench.envs.native import first
-from estbench.envs.quiet import hold
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
+from estbench.robots.library import hold
 from estbench.shapes import Array
 
 ONE = np.ones(1, bool)

@@ -4,35 +4,126 @@
 >>> results = estbench.run("pendulum", ["ekf"], runs=20, duration=1.0)
 >>> str(results["ekf"].verdict)
 'consistent'
+
+Every public name is imported when it is first used. So the command line starts before MuJoCo is
+imported, and can report an error of that import.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from estbench.errors import EstbenchError
+    from estbench.errors import (
+        ControllerError,
+        CovarianceError,
+        DimensionError,
+        EstbenchError,
+        EstimatorError,
+        MissingExtraError,
+        ModelError,
+        ScenarioError,
+        StoreError,
+    )
+    from estbench.estimators.beliefs import Gaussian
+    from estbench.estimators.ckf import CKF
+    from estbench.estimators.ekf import EKF
+    from estbench.estimators.enkf import EnKF
+    from estbench.estimators.iekf import IEKF
+    from estbench.estimators.imm import IMM
+    from estbench.estimators.kf import KF
+    from estbench.estimators.particle import ParticleFilter
+    from estbench.estimators.protocol import Estimator, FilterHistory, Innovation, Smoother
+    from estbench.estimators.ukf import UKF
+    from estbench.inference.offline import follow
+    from estbench.models.continuous import ContinuousFunctionModel
+    from estbench.models.function import FunctionModel
+    from estbench.models.linear import LinearModel
+    from estbench.models.protocol import Model
     from estbench.montecarlo.results import Results
     from estbench.montecarlo.run import run
+    from estbench.robots.model import MujocoModel
     from estbench.scenario.load import load
+    from estbench.scenario.schema import Scenario
+    from estbench.smoothers.estimators import MAP, RTS, URTS
     from estbench.store.zarr import open_results
 
-__all__ = ["EstbenchError", "Results", "load", "open_results", "run"]
 __version__ = "0.1.0"
+__all__ = [
+    "CKF",
+    "EKF",
+    "IEKF",
+    "IMM",
+    "KF",
+    "MAP",
+    "RTS",
+    "UKF",
+    "URTS",
+    "ContinuousFunctionModel",
+    "ControllerError",
+    "CovarianceError",
+    "DimensionError",
+    "EnKF",
+    "EstbenchError",
+    "Estimator",
+    "EstimatorError",
+    "FilterHistory",
+    "FunctionModel",
+    "Gaussian",
+    "Innovation",
+    "LinearModel",
+    "MissingExtraError",
+    "Model",
+    "ModelError",
+    "MujocoModel",
+    "ParticleFilter",
+    "Results",
+    "Scenario",
+    "ScenarioError",
+    "Smoother",
+    "StoreError",
+    "follow",
+    "load",
+    "open_results",
+    "run",
+]
 
-_HOME = {
-    "EstbenchError": "errors",
-    "Results": "montecarlo.results",
-    "load": "scenario.load",
-    "open_results": "store.zarr",
-    "run": "montecarlo.run",
-}
+_MODULES = {
+    "errors": (
+        "ControllerError", "CovarianceError", "DimensionError", "EstbenchError", "EstimatorError",
+        "MissingExtraError", "ModelError", "ScenarioError", "StoreError",
+    ),
+    "estimators.beliefs": ("Gaussian",),
+    "estimators.ckf": ("CKF",),
+    "estimators.ekf": ("EKF",),
+    "estimators.enkf": ("EnKF",),
+    "estimators.iekf": ("IEKF",),
+    "estimators.imm": ("IMM",),
+    "estimators.kf": ("KF",),
+    "estimators.particle": ("ParticleFilter",),
+    "estimators.protocol": ("Estimator", "FilterHistory", "Innovation", "Smoother"),
+    "estimators.ukf": ("UKF",),
+    "inference.offline": ("follow",),
+    "models.continuous": ("ContinuousFunctionModel",),
+    "models.function": ("FunctionModel",),
+    "models.linear": ("LinearModel",),
+    "models.protocol": ("Model",),
+    "montecarlo.results": ("Results",),
+    "montecarlo.run": ("run",),
+    "robots.model": ("MujocoModel",),
+    "scenario.load": ("load",),
+    "scenario.schema": ("Scenario",),
+    "smoothers.estimators": ("MAP", "RTS", "URTS"),
+    "store.zarr": ("open_results",),
+}  # fmt: skip
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, imported when it is first used.
-
-    So the command line starts before MuJoCo is imported, and can say what is wrong with that.
-    """
+    """Import a public name from its module."""
     if name not in _HOME:
         raise AttributeError(f"module 'estbench' has no attribute '{name}'")
     return getattr(import_module(f"estbench.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

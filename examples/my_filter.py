@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from estbench.estimators.protocol import Innovation
+from estbench import Innovation
 
 
 class Belief(NamedTuple):

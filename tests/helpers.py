@@ -12,9 +12,9 @@ from estbench.models.differences import Differences
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
 from estbench.robots import mjcf
-from estbench.robots.batch import engine
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import sensor_name, sensor_space, state_space
+from estbench.robots.library import engine
 from estbench.robots.model import MujocoModel, SensorChannel
 from estbench.simulation.truth import Trajectory, simulate
 

@@ -14,7 +14,6 @@ from estbench.estimators import registry
 from estbench.experiment import setup
 from estbench.models import observability
 from estbench.robots import added_sensors, layout, mjcf
-from estbench.robots.batch import engine
 from estbench.scenario import load as scenario
 from estbench.scenario.schema import FilterSection, Scenario, TruthSection
 from estbench.simulation import controllers
@@ -177,11 +176,10 @@ def _warnings(prepared: setup.Setup) -> list[str]:
             warnings.append(
                 f"sensor '{sensor.name}' interpolates its history: estbench delivers the samples"
             )
-    with engine():
-        hidden = observability.unseen(
-            prepared.model(), prepared.mean, prepared.plant.u0, prepared.plant.period,
-            np.sqrt(np.diag(prepared.cov)),
-        )  # fmt: skip
+    hidden = observability.unseen(
+        prepared.model(), prepared.mean, prepared.plant.u0, prepared.plant.period,
+        np.sqrt(np.diag(prepared.cov)),
+    )  # fmt: skip
     if hidden:
         warnings.append(f"no sensor can see {', '.join(hidden)} (linearized at the initial state)")
     return warnings

@@ -7,7 +7,6 @@ window has passed the estimate is the prior carried along by the model, then the
 from the fit's last state and covariance.
 """
 
-import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
-from estbench.estimators.beliefs import Fault, Gaussian
+from estbench.estimators.beliefs import Fault, Gaussian, start
 from estbench.estimators.protocol import Estimator, Innovation, Measurement
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array
@@ -127,7 +126,7 @@ class WarmStart:
     def init(self, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None) -> Starting:
         """Wait with mean `(run, nx)` and covariance `(run, n, n)`."""
         prior = Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
-        return Starting(self._begin(mean, cov, keys), prior, keys)
+        return Starting(start(self.estimator, mean, cov, keys), prior, keys)
 
     def predict(self, belief: Starting, u: Array, t: float, dt: float) -> Starting:
         """The estimator's prediction; it starts first when the window has passed."""
@@ -173,10 +172,6 @@ class WarmStart:
         """P `(run, n, n)`."""
         return self.estimator.cov(belief.belief)
 
-    def _begin(self, mean: Array, cov: Array, keys: NDArray[np.uint64] | None) -> Any:
-        random = keys is not None and "keys" in inspect.signature(self.estimator.init).parameters
-        return self.estimator.init(mean, cov, **({"keys": keys} if random else {}))
-
     def _fitted(self, belief: Starting, prior: Gaussian) -> Any:
         """The estimator's belief at the window's end; a run without a fit keeps what it has."""
         times, controls, readings = belief.times, belief.controls, belief.readings
@@ -187,4 +182,4 @@ class WarmStart:
         lost = last.fault != Fault.NONE
         mean = np.where(lost[:, None], self.estimator.mean(belief.belief), last.mean)
         cov = np.where(lost[:, None, None], self.estimator.cov(belief.belief), last.cov)
-        return self._begin(mean, cov, belief.keys)
+        return start(self.estimator, mean, cov, belief.keys)

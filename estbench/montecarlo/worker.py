@@ -8,7 +8,6 @@ from pathlib import Path
 from estbench.consistency import records
 from estbench.experiment import setup
 from estbench.montecarlo.batch import run_batch
-from estbench.robots.batch import engine
 from estbench.scenario import load as scenario
 from estbench.store.zarr import Store
 
@@ -49,8 +48,7 @@ def work(
     """
     prepared = prepared or _prepared(task.toml)
     runs = range(*task.runs)
-    with engine():
-        batch = run_batch(prepared, runs, task.keep, stop)
+    batch = run_batch(prepared, runs, task.keep, stop)
     if batch is None:
         return None
     if task.folder is not None:

@@ -4,12 +4,7 @@ This is the only file that touches `mujoco.batch`. A row that cannot be computed
 large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent reset.
 """
 
-import ctypes
 import math
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import get_args
 
 import mujoco
@@ -17,17 +12,19 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from estbench.robots import mjcf
+from estbench.robots import flags, library
 from estbench.shapes import Array, Mask
 from estbench.spaces.linalg import surely_finite
 
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
 
 
-class Rows:
-    """Stateless stepping of any number of rows; one `Batch` is kept for each count in use.
+class BatchBackend:
+    """The `backend.Backend` on MuJoCo's own batch; one `Batch` is kept for each number of rows.
 
-    Not safe to share between threads: give each its own.
+    Args:
+        model: with the flags of `flags.set_flags`.
+        nthread: number of threads of a batch; the results do not depend on it.
     """
 
     def __init__(self, model: mujoco.MjModel, nthread: int = 1):
@@ -35,9 +32,10 @@ class Rows:
         self.nthread = nthread
         self.nx = model.nq + model.nv + model.na
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
-        self._batches: dict[tuple[int, mjcf.Use], Batch] = {}
-        self._models: dict[mjcf.Use, mujoco.MjModel] = {}
+        self._batches: dict[tuple[int, flags.Use], Batch] = {}
+        self._models: dict[flags.Use, mujoco.MjModel] = {}
         self._varied = False
+        self._settings = library.hold(self)
         probe = Batch(model, 1, 1)
         address = probe.state.ctypes.data
 
@@ -53,21 +51,25 @@ class Rows:
         self._ctrl = columns("ctrl", model.nu)
         self._force = columns("qfrc_applied", model.nv)
 
-    def batch(self, count: int, use: mjcf.Use = "step") -> Batch:
+    def batch(self, count: int, use: flags.Use = "step") -> Batch:
         """The batch of `count` rows for a use, with zero forces."""
         if (count, use) not in self._batches:
             if use not in self._models:
-                self._models[use] = mjcf.lean(self.model, use)
+                self._models[use] = flags.reduced(self.model, use)
             batch = Batch(self._models[use], count, self.nthread)
             if use != "step":
                 batch.bind("sensordata")
             self._batches[count, use] = batch
         return self._batches[count, use]
 
+    def close(self) -> None:
+        """Restore the settings of the MuJoCo library, unless another backend is open."""
+        self._settings()
+
     def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
         """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
         if not self._varied:  # the parameter may be what switches a constraint on
-            self._models, self._batches = dict.fromkeys(get_args(mjcf.Use), self.model), {}
+            self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
             self._varied = True
         for use in self._models:
             batch = self.batch(count, use)
@@ -101,15 +103,15 @@ class Rows:
         self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
     ) -> Array:
         """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
-        looks = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
-        batch, _, bad = self._load(x, u, t, "look" if looks else "feel")
+        slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
+        batch, _, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
         bad = self._run(batch, bad, 0, stage)
         out = batch.bind("sensordata")[:, columns]
         if bad is not None:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], len(columns))
 
-    def flow(self, x: Array, u: Array, t: float, force: Array | None = None) -> Array:
+    def flow(self, x: Array, u: Array, t: float | Array, force: Array | None = None) -> Array:
         """Rates (q̇, q̈, ȧ) `(..., 2 nv + na)` at x by the whole forward dynamics; see `step`.
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
@@ -128,7 +130,7 @@ class Rows:
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
     def _load(
-        self, x: Array, u: Array, t: float | Array, use: mjcf.Use
+        self, x: Array, u: Array, t: float | Array, use: flags.Use
     ) -> tuple[Batch, Array, Mask | None]:
         """Write states and controls; rows that are not finite are parked at rest and returned."""
         lead = x.shape[:-1]
@@ -165,45 +167,3 @@ class Rows:
         if bad is None or failed is None:
             return bad if failed is None else failed
         return bad | failed
-
-
-_depth = 0
-_lock = threading.Lock()
-_saved: tuple[int | None, mujoco.MjLogConfig] | None = None
-
-
-def _profiling_callback() -> ctypes.c_void_p:
-    """The pointer `mjcb_time` of the loaded library."""
-    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time")
-
-
-@contextmanager
-def engine() -> Iterator[None]:
-    """While batches run: no profiling callback (a third of a small step), no MUJOCO_LOG.TXT.
-
-    Both are globals of the MuJoCo library; they are restored when the last user leaves. Warnings
-    are not lost: they are counted a row, and estbench reports the runs they end.
-    """
-    global _depth, _saved
-    with _lock:
-        _depth += 1
-        if _depth == 1:
-            _saved = (_profiling_callback().value, _log_config())
-            _profiling_callback().value = None
-            quiet = _log_config()
-            quiet.logto_console, quiet.logto_file = 0, 0
-            mujoco.MjLogConfig.set(quiet)
-    try:
-        yield
-    finally:
-        with _lock:
-            _depth -= 1
-            if _depth == 0 and _saved is not None:
-                _profiling_callback().value = _saved[0]
-                mujoco.MjLogConfig.set(_saved[1])
-                _saved = None
-
-
-def _log_config() -> mujoco.MjLogConfig:
-    return mujoco.MjLogConfig.get()

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.robots.batch import Rows
+from estbench.robots.backend import Backend
 from estbench.robots.layout import actuator_names
 from estbench.shapes import Array
 from estbench.spaces.linalg import (
@@ -152,7 +152,7 @@ class Disturbance:
         return out * size
 
     def covariance(
-        self, rows: Rows, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
+        self, backend: Backend, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
     ) -> Array:
         """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
         if self.kind == "additive":
@@ -160,11 +160,11 @@ class Disturbance:
         if not self.rank:
             return np.zeros((space.n, space.n))
         points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(1.0 / dt))
-        ends = rows.step(points, push, t, nstep, force)
+        ends = backend.step(points, push, t, nstep, force)
         response = space.minus(ends[:, 1:], ends[:, :1])
         return response.mT @ response
 
-    def intensity(self, rows: Rows, space: Manifold, x: Array, u: Array, t: float) -> Array:
+    def intensity(self, backend: Backend, space: Manifold, x: Array, u: Array, t: float) -> Array:
         """Q_s of the noise on ẋ, `(n, n)` or `(run, n, n)`, at x `(run, nx)`: G Q_s Gᵀ.
 
         G is the slope of ẋ over one standard deviation of the disturbance held for a physics step;
@@ -174,9 +174,9 @@ class Disturbance:
             return self._density(t)
         if not self.rank:
             return np.zeros((space.n, space.n))
-        held = 1.0 / rows.model.opt.timestep
+        held = 1.0 / backend.model.opt.timestep
         points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(held))
-        rates = rows.flow(points, push, t, force)
+        rates = backend.flow(points, push, t, force)
         response = (rates[:, 1:] - rates[:, :1]) / np.sqrt(held)
         return response.mT @ response
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError, user_error_location
 from estbench.robots import layout
-from estbench.robots.batch import Rows
+from estbench.robots.backend import Backend
 from estbench.shapes import Array
 from estbench.spaces.manifold import Manifold, product
 
@@ -102,15 +102,15 @@ class Plan:
         self.reach = reach[-1] if self._sources else reach[self._stage]
         self.timed = bool(self._sources)
 
-    def read(self, rows: Rows, x: Array, u: Array, t: float | Array) -> Array:
+    def read(self, backend: Backend, x: Array, u: Array, t: float | Array) -> Array:
         """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
         if self.known is not None:
             return x[..., self.known[0]]
         if not self._sources:
-            return rows.read(x, u, t, self._stage, self._columns)
+            return backend.read(x, u, t, self._stage, self._columns)
         sensed, start = np.empty((*x.shape[:-1], 0)), 0
         if len(self._columns):
-            sensed = rows.read(x, u, t, self._stage, self._columns)
+            sensed = backend.read(x, u, t, self._stage, self._columns)
         parts = []
         for source in self._sources:
             if source.function is not None:

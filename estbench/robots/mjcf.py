@@ -1,21 +1,19 @@
-"""Reading an MJCF and compiling the copies that the truth and the filter step.
+"""Reading an MJCF and compiling the model that the truth or the filter steps.
 
-Three things are changed in every copy: warm starts are off, so that a step is a function of
-(x, u) alone; automatic resets are off, so that a state that blew up never passes for a pose; and
-controls are not clamped inside MuJoCo but before the actuator noise is added (`clamp`).
+Every compiled model gets the flags of `flags.set_flags`.
 """
 
-import copy
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots import added_sensors
+from estbench.robots.flags import set_flags
 from estbench.robots.parameters import changed
 from estbench.shapes import Array
 
@@ -105,53 +103,8 @@ def compile_model(
         model.opt.integrator = INTEGRATORS[integrator]
     if settings:
         model = changed(model, settings, f"{where}.set")
-    flags = mujoco.mjtDisableBit
-    model.opt.disableflags |= (
-        flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
-    )
-    # With this flag the energy sensors of a row would read another row's energies.
-    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    set_flags(model)
     return model
-
-
-Use = Literal["step", "look", "feel"]
-"""Of a model: stepping; sensors of position and velocity; sensors of force and acceleration."""
-
-# They read constraints, or may read anything, at a stage before the constraint forces are known.
-_TOUCHY = [
-    getattr(mujoco.mjtSensor, f"mjSENS_{name}")
-    for name in (
-        "JOINTLIMITPOS", "JOINTLIMITVEL", "TENDONLIMITPOS", "TENDONLIMITVEL", "CONTACT", "USER",
-        "PLUGIN",
-    )
-]  # fmt: skip
-
-
-def lean(model: mujoco.MjModel, use: Use) -> mujoco.MjModel:
-    """A copy that leaves out work which cannot change what it is used for, to the last bit.
-
-    Sensors where none is read; collision detection where no pair of geoms may collide or no
-    sensor in use can tell; constraints where besides nothing is limited, tied or rubs. For a small
-    robot this is a quarter of a step.
-    """
-    flags = mujoco.mjtDisableBit
-    skip = 0
-    if use == "step" and not model.nplugin:
-        skip |= int(flags.mjDSBL_SENSOR)
-    blind = use == "look" and not np.isin(model.sensor_type, _TOUCHY).any()
-    groups = (model.geom_contype, model.geom_conaffinity)
-    contype, conaffinity = (np.bitwise_or.reduce(g, initial=0) for g in groups)
-    if blind or not (contype & conaffinity or model.npair or model.nflex):
-        skip |= int(flags.mjDSBL_CONTACT)
-        constraints = (
-            model.jnt_limited, model.tendon_limited, model.dof_frictionloss,
-            model.tendon_frictionloss, model.nplugin, model.neq,
-        )  # fmt: skip
-        if blind or not any(np.any(c) for c in constraints):
-            skip |= int(flags.mjDSBL_CONSTRAINT)
-    out = copy.copy(model)
-    out.opt.disableflags |= skip
-    return out
 
 
 def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array]:
@@ -175,21 +128,6 @@ def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array
         raise ScenarioError(f"model.keyframe: no keyframe '{key}'{hint}")
     x = np.concatenate([model.key_qpos[index], model.key_qvel[index], model.key_act[index]])
     return x, model.key_ctrl[index].copy()
-
-
-def control_limits(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """Lowest and highest control of each actuator `(nu,)`, infinite where there is no limit."""
-    limited = model.actuator_ctrllimited.astype(bool)
-    low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
-    return low, np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
-
-
-def clamp(model: mujoco.MjModel, u: Array) -> Array:
-    """Controls `(..., nu)` clipped to the actuators' ctrlrange, as MuJoCo would."""
-    if not model.actuator_ctrllimited.any():
-        return u
-    low, high = control_limits(model)
-    return np.minimum(np.maximum(u, low), high)
 
 
 def _one_line(error: Exception) -> str:

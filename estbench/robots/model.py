@@ -9,8 +9,8 @@ import numpy as np
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels
-from estbench.robots import layout, mjcf
-from estbench.robots.batch import Rows
+from estbench.robots import backend, layout
+from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
 from estbench.shapes import Array
@@ -83,8 +83,8 @@ class MujocoModel:
         self.differences = differences or Differences()
         self._space = layout.state_space(model)
         self._rates = Manifold.euclidean(self._space.n)
-        self._rows = Rows(model, nthread)
-        self._limits = mjcf.control_limits(model)
+        self._backend = backend.create(model, nthread)
+        self._range = ControlRange.of(model)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
         self._steps: dict[float, int] = {}
 
@@ -104,7 +104,7 @@ class MujocoModel:
 
     def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
         """X after dt/timestep physics steps; NaN where MuJoCo could not go on."""
-        return self._rows.step(x, self._clamp(u), t, self.steps(dt))
+        return self._backend.step(x, self._clamp(u), t, self.steps(dt))
 
     def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
         """f(x) and Φ by differences of whole transitions."""
@@ -115,12 +115,12 @@ class MujocoModel:
     def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
         """Q of the disturbance over dt."""
         return self.disturbance.covariance(
-            self._rows, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
         )
 
     def flow(self, x: Array, u: Array, t: float) -> Array:
         """ẋ = (q̇, q̈, ȧ) `(..., n)` of the forward dynamics, without what the integrator adds."""
-        return self._rows.flow(x, self._clamp(u), t)
+        return self._backend.flow(x, self._clamp(u), t)
 
     def flow_jacobian(self, x: Array, u: Array, t: float) -> tuple[Array, Array]:
         """ẋ and ∂ẋ(x ⊞ δ)/∂δ by differences."""
@@ -130,11 +130,11 @@ class MujocoModel:
 
     def spectral_density(self, x: Array, u: Array, t: float) -> Array:
         """Q_s of the disturbance as noise on ẋ."""
-        return self.disturbance.intensity(self._rows, self._space, x, self._clamp(u), t)
+        return self.disturbance.intensity(self._backend, self._space, x, self._clamp(u), t)
 
     def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
         """The readings at x under the control u, undisturbed."""
-        return self._select(channels).plan.read(self._rows, x, self._clamp(u), t)
+        return self._select(channels).plan.read(self._backend, x, self._clamp(u), t)
 
     def measurement_jacobian(
         self, x: Array, u: Array, t: float, channels: Channels = None
@@ -172,7 +172,7 @@ class MujocoModel:
     def _clamp(self, u: Array) -> Array:
         if u.shape[-1] != self.nu:
             raise DimensionError(f"u has {u.shape[-1]} controls; expected {self.nu}")
-        return np.minimum(np.maximum(u, self._limits[0]), self._limits[1])
+        return self._range.clamp(u)
 
     def _select(self, names: Channels) -> _Selection:
         key = None if names is None else tuple(names)

@@ -7,7 +7,7 @@ import numpy as np
 
 from estbench.randomness import streams
 from estbench.randomness.streams import Seeds
-from estbench.robots.batch import Rows
+from estbench.robots.backend import Backend
 from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
 from estbench.sensors.sampling import Delivery, Sampler
@@ -35,7 +35,7 @@ class SensorSuite:
     def __init__(
         self,
         model: mujoco.MjModel,
-        backend: Rows,
+        backend: Backend,
         channels: Sequence[Channel],
         rows: int,
         last: int | None = None,

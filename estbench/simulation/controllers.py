@@ -17,8 +17,8 @@ import scipy.linalg
 from estbench.errors import ControllerError, DimensionError, EstimatorError, user_error_location
 from estbench.plugins import load_module
 from estbench.randomness import streams
-from estbench.robots import mjcf
-from estbench.robots.batch import Rows
+from estbench.robots import backend
+from estbench.robots.controls import ControlRange
 from estbench.robots.layout import actuator_names
 from estbench.scenario.schema import ControlSection
 from estbench.shapes import Array
@@ -145,7 +145,8 @@ def clamped(section: ControlSection, plant: Plant) -> list[str]:
         least, most = table.min(axis=0), table.max(axis=0)
     else:
         return []
-    low, high = mjcf.control_limits(model)
+    limits = ControlRange.of(model)
+    low, high = limits.low, limits.high
     slack = 1e-9 * (np.abs(least) + np.abs(most))  # 0.1 + 0.2 is no more than 0.3
     beyond = np.where(most - slack > high, most, np.where(least + slack < low, least, np.nan))
     return [
@@ -157,7 +158,7 @@ def clamped(section: ControlSection, plant: Plant) -> list[str]:
 
 def linearize(plant: Plant) -> tuple[Array, Array]:
     """A `(n, n)` and B `(n, nu)` of one control period about the keyframe, centred differences."""
-    rows, space, step = Rows(plant.model), plant.space, 1e-6
+    engine, space, step = backend.create(plant.model), plant.space, 1e-6
     n, nu = space.n, plant.model.nu
     x = np.broadcast_to(plant.x0, (1, 2 * (n + nu) + 1, plant.x0.size)).copy()
     u = np.broadcast_to(plant.u0, (1, 2 * (n + nu) + 1, nu)).copy()
@@ -165,7 +166,7 @@ def linearize(plant: Plant) -> tuple[Array, Array]:
     x[0, n + 1 : 2 * n + 1] = space.plus(plant.x0, -step * np.eye(n))
     u[0, 2 * n + 1 : 2 * n + nu + 1] += step * np.eye(nu)
     u[0, 2 * n + nu + 1 :] -= step * np.eye(nu)
-    ends = rows.step(x, u, 0.0, plant.nstep)[0]
+    ends = engine.step(x, u, 0.0, plant.nstep)[0]
     change = space.minus(ends, ends[0]) / (2 * step)
     A = (change[1 : n + 1] - change[n + 1 : 2 * n + 1]).T
     B = (change[2 * n + 1 : 2 * n + nu + 1] - change[2 * n + nu + 1 :]).T

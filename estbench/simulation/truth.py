@@ -8,8 +8,8 @@ import numpy as np
 from estbench.randomness import streams
 from estbench.randomness.row_draws import BLOCK, RowDraws
 from estbench.randomness.streams import Seeds
-from estbench.robots import mjcf, parameters
-from estbench.robots.batch import Rows
+from estbench.robots import backend, parameters
+from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import Draw
 from estbench.sensors.channel import Channel
@@ -63,7 +63,7 @@ class Simulator:
     ):
         self._model, self._space, self._disturbance = model, space, disturbance
         self._mean, self._factor = initial
-        self._backend = Rows(model, nthread)
+        self._backend, self._range = backend.create(model, nthread), ControlRange.of(model)
         timed = disturbance.schedule is not None or any(c.schedule is not None for c in channels)
         self.clocks = Clocks(rows, schedule, timed)
         count = BLOCK if instants is None else len(instants)
@@ -108,7 +108,7 @@ class Simulator:
         The sensors are read under the commanded control, without the disturbance: an accelerometer
         that saw the white force would correlate v with w, which every filter here excludes.
         """
-        u = mjcf.clamp(self._model, u)
+        u = self._range.clamp(u)
         start, end = self.clocks.time(event)
         noise, force, driven, w = self._disturbance, None, u, None
         if noise.rank:

@@ -15,7 +15,7 @@ from estbench.inference.event_loop import Live, Recorded, run_filter
 from estbench.inference.initialization import WarmStart
 from estbench.montecarlo import run as experiment
 from estbench.randomness import streams
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.simulation.truth import Trajectory
 from tests.helpers import simulated
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.robots import layout
-from estbench.robots.batch import Rows, engine
+from estbench.robots import backend, layout
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.library import engine
 from estbench.robots.measurement import Measurand, Plan
 from estbench.robots.model import MujocoModel, SensorChannel
 from estbench.spaces.manifold import Manifold, product
@@ -34,7 +34,7 @@ def test_a_plan_reads_sensors_and_functions_in_order(points):
     x, u = random_states(model, 3 if points is None else 3 * points)
     if points is not None:
         x, u = x.reshape(3, points, -1), u[:3]
-    parts, rows = sources(model), Rows(model)
+    parts, rows = sources(model), backend.create(model)
     with engine():
         together = Plan(model, parts).read(rows, x, u, 0.5)
         one_by_one = [Plan(model, [s]).read(rows, x, u, 0.5) for s in parts]
@@ -59,7 +59,9 @@ def test_only_functions():
     x, u = random_states(model, 2)
     space = Manifold(("a", "b"), ("1", "1"))
     plan = Plan(model, [Measurand(space, function=speed_and_height, name="f")])
-    np.testing.assert_array_equal(plan.read(Rows(model), x, u, 0.0), speed_and_height(x, u, 0.0))
+    np.testing.assert_array_equal(
+        plan.read(backend.create(model), x, u, 0.0), speed_and_height(x, u, 0.0)
+    )
 
 
 def test_a_product_of_manifolds():

@@ -1,5 +1,3 @@
-from types import SimpleNamespace
-
 import mujoco
 import numpy as np
 import pytest
@@ -261,64 +259,3 @@ def test_no_keyframe_at_all():
         ScenarioError, match=r"no keyframe 'home'; the MJCF has none: leave .* out$"
     ):
         mjcf.keyframe(zoo_model("contact"), "home")
-
-
-def test_clamp():
-    model = zoo_model("joints")  # lifter is limited to ±1, swinger is free
-    u = np.array([[[-5.0, -5.0], [0.5, 0.5]], [[2.0, 7.0], [-1.0, 0.0]]])
-    expected = [[[-1.0, -5.0], [0.5, 0.5]], [[1.0, 7.0], [-1.0, 0.0]]]
-    np.testing.assert_array_equal(mjcf.clamp(model, u), expected)
-    free = SimpleNamespace(actuator_ctrllimited=np.zeros(2, np.uint8))
-    np.testing.assert_array_equal(mjcf.clamp(free, u), u)
-
-
-@pytest.mark.parametrize("name", sorted(ZOO))
-@pytest.mark.parametrize(
-    ("use", "stage", "fields"),
-    [
-        ("step", mujoco.mjtStage.mjSTAGE_ACC, ["qacc"]),
-        ("look", mujoco.mjtStage.mjSTAGE_VEL, ["sensordata"]),
-        ("feel", mujoco.mjtStage.mjSTAGE_ACC, ["sensordata", "qacc"]),
-    ],
-)
-def test_a_lean_copy_gives_the_same_to_the_last_bit(name, use, stage, fields):
-    model = zoo_model(name)
-    leaner = mjcf.lean(model, use)
-    datas = mujoco.MjData(model), mujoco.MjData(leaner)
-    seen = model.sensor_needstage <= int(stage)
-    columns = np.concatenate(
-        [np.arange(d) + a for a, d, s in zip(model.sensor_adr, model.sensor_dim, seen) if s] or [[]]
-    ).astype(int)
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        qpos = datas[0].qpos.copy()
-        qvel, ctrl = rng.normal(size=model.nv), rng.normal(size=model.nu)
-        got = []
-        for m, d in zip((model, leaner), datas):
-            d.qpos[:], d.qvel[:], d.ctrl[:] = qpos, qvel, ctrl
-            mujoco.mj_forwardSkip(m, d, mujoco.mjtStage.mjSTAGE_NONE, 0)
-            got.append([d.sensordata[columns] if f == "sensordata" else d.qacc for f in fields])
-            got[-1] = [values.copy() for values in got[-1]]
-            mujoco.mj_step(m, d)
-            if use != "look":
-                got[-1] += [d.qpos.copy(), d.qvel.copy(), d.act.copy()]
-        for one, other in zip(*got):
-            np.testing.assert_array_equal(one, other)
-
-
-def test_a_lean_copy_leaves_out_only_what_does_nothing():
-    flags = mujoco.mjtDisableBit
-    skipped = flags.mjDSBL_CONTACT | flags.mjDSBL_CONSTRAINT
-
-    def lean(text):
-        model = mujoco.MjModel.from_xml_string(text)
-        return mjcf.lean(model, "feel").opt.disableflags & skipped
-
-    ball = """<mujoco><worldbody>
-        <body><joint type="slide" {}/><geom size="1" {}/></body>{}
-    </worldbody></mujoco>"""
-    alone, floor = 'contype="0"', '<geom type="plane" size="1 1 1"/>'
-    assert lean(ball.format("", alone, "")) == skipped
-    assert lean(ball.format("", "", floor)) == 0
-    assert lean(ball.format('range="-1 1" limited="true"', alone, "")) == flags.mjDSBL_CONTACT
-    assert lean(ball.format('frictionloss="1"', alone, "")) == flags.mjDSBL_CONTACT

@@ -1,7 +1,3 @@
-import contextlib
-import ctypes
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -9,7 +5,6 @@ import pytest
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.models.protocol import Model
 from estbench.robots import mjcf
-from estbench.robots.batch import engine
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import sensor_space, state_space
 from estbench.robots.model import MujocoModel, SensorChannel
@@ -329,26 +324,3 @@ def test_no_noise_is_a_zero_Q_and_a_negative_density_is_refused():
         np.testing.assert_array_equal(Q, np.zeros((22, 22)))
     with pytest.raises(CovarianceError, match=r"negative for swing\.vel: -2"):
         mujoco_model("joints", "force", {"swing.vel": -2.0})
-
-
-def profiling_callback():
-    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time").value
-
-
-def test_engine_is_quiet_and_puts_everything_back(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    callback, config = profiling_callback(), mujoco.MjLogConfig.get()
-    assert callback is not None
-    model = mujoco_model("joints")
-    x, u, _ = bad_states(model.mjmodel)
-    with contextlib.suppress(KeyError), engine():
-        assert profiling_callback() is None
-        with engine():
-            model.transition(x, u, 0.0, 0.004)
-        assert profiling_callback() is None
-        raise KeyError
-    assert profiling_callback() == callback
-    after = mujoco.MjLogConfig.get()
-    assert (after.logto_console, after.logto_file) == (config.logto_console, config.logto_file)
-    assert not list(tmp_path.iterdir())

@@ -9,7 +9,7 @@ from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
 from estbench.models.continuous import ContinuousModel, integrate_moments
 from estbench.montecarlo import run as experiment
-from estbench.robots import mjcf
+from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import state_space
 from estbench.robots.model import MujocoModel
@@ -35,7 +35,7 @@ def test_the_flow_is_mujocos_forward_dynamics_and_leaves_no_trace(name):
     model, raw = mujoco_model(name), zoo_model(name)
     x, u = random_states(raw, 3)
     after = model.transition(x, u, 0.0, raw.opt.timestep)
-    u_clamped = mjcf.clamp(raw, u)
+    u_clamped = ControlRange.of(raw).clamp(u)
     expected = [rate(raw, a, b) for a, b in zip(x, u_clamped)]
     np.testing.assert_array_equal(model.flow(x, u, 0.0), expected)
     points = np.repeat(x[:, None], 2, axis=1)

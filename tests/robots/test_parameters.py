@@ -119,7 +119,9 @@ def test_no_draw_goes_beyond_the_limit(monkeypatch):
         "estbench.randomness.streams.normals", lambda *a: np.full((a[3], 3, a[4]), -9.0)
     )
     seen = []
-    monkeypatch.setattr("estbench.robots.batch.Rows.vary", lambda self, *a: seen.append(a[-1]))
+    monkeypatch.setattr(
+        "estbench.robots.batch.BatchBackend.vary", lambda self, *a: seen.append(a[-1])
+    )
     assert isinstance(prepared.simulator([0, 1, 2]), Simulator)
     np.testing.assert_allclose(seen[0], 0.2 * (1 - 0.22 * parameters.LIMIT))
     assert (seen[0] > 0).all()

@@ -10,7 +10,7 @@ from estbench.estimators import registry
 from estbench.experiment import setup
 from estbench.inference.event_loop import Recorded, run_filter
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.simulation.truth import Trajectory, simulate
 
 RUNS = 5

@@ -13,8 +13,8 @@ from estbench.commands import cli
 from estbench.errors import CovarianceError, ScenarioError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.library import engine
 from estbench.sensors import schedules
 from estbench.simulation.truth import simulate
 from tests.sensors import test_schedules as factors

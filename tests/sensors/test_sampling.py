@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estbench.experiment import setup
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.scenario.load import load
 from estbench.scenario.schema import ChannelSection
 from estbench.sensors import channel as sensors

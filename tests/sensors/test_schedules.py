@@ -7,7 +7,7 @@ import pytest
 from estbench.errors import ScenarioError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.sensors import schedules
 from estbench.simulation.truth import simulate
 

@@ -4,7 +4,7 @@ import pytest
 
 from estbench.errors import ScenarioError
 from estbench.experiment import setup
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.scenario.load import load
 from estbench.sensors.sampling import Readings
 from estbench.sensors.timing import Native, Timing, instants

@@ -9,7 +9,7 @@ import estbench
 from estbench.errors import ControllerError, DimensionError, ScenarioError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import Rows
+from estbench.robots import backend
 from estbench.scenario.schema import ControlSection
 from estbench.simulation import controllers
 from tests.helpers import zoo_model
@@ -150,7 +150,7 @@ def test_lqr_stabilizes(name):
     assert np.abs(np.linalg.eigvals(A)).max() > 1 - 1e-6  # it would not come back by itself
     assert np.abs(np.linalg.eigvals(A - B @ gain)).max() < 1 - 1e-3
     # And the nonlinear robot comes back from an eighth of a radian or metre.
-    control, rows = build(name, range(4), **section.model_dump()), Rows(p.model)
+    control, rows = build(name, range(4), **section.model_dump()), backend.create(p.model)
     nudge = np.random.default_rng(0).uniform(-0.125, 0.125, (4, p.space.n))
     x = p.space.plus(states(name, 4), nudge)
     for k in range(round(8 / p.period)):

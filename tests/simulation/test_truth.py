@@ -6,10 +6,11 @@ import pytest
 from scipy import stats
 
 from estbench.randomness import streams
-from estbench.robots import mjcf, parameters
-from estbench.robots.batch import Rows, engine
+from estbench.robots import backend, parameters
+from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import state_space
+from estbench.robots.library import engine
 from estbench.scenario.schema import Draw
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
@@ -79,7 +80,7 @@ def test_without_noise_the_truth_is_a_loop_of_mj_step(name):
         for k, instant in enumerate(simulator.instants):
             u = control(k, instant.start, None)
             np.testing.assert_array_equal(trajectory.u[k], u)
-            data.ctrl = mjcf.clamp(model, u)[run]
+            data.ctrl = ControlRange.of(model).clamp(u)[run]
             mujoco.mj_step(model, data, 2)
             np.testing.assert_array_equal(trajectory.x[k + 1, run], get_state(data))
     assert np.abs(np.diff(trajectory.x, axis=0)).max() > 1e-3  # it moved
@@ -94,7 +95,7 @@ def test_readings_are_those_of_the_end_state_without_the_disturbance(kind):
     for k, instant in enumerate(simulator.instants):
         for run in range(3):
             set_state(model, data, trajectory.x[k + 1, run])
-            data.ctrl = mjcf.clamp(model, control(k, instant.start, None))[run]
+            data.ctrl = ControlRange.of(model).clamp(control(k, instant.start, None))[run]
             data.time = instant.end
             mujoco.mj_forward(model, data)
             assert list(y[k]) == list(simulator._channels)
@@ -136,7 +137,7 @@ def one_step(kind, density, runs=4000, frame_skip=5):
     u = np.full((runs, model.nu), 0.3)
     with engine():
         x, _ = simulator.step(0, simulator.x0, u)
-        x0, rows = simulator.x0[:1], Rows(model)
+        x0, rows = simulator.x0[:1], backend.create(model)
         end = rows.step(x0, u[:1], 0.0, frame_skip)
         dt = frame_skip * model.opt.timestep
         Q = simulator._disturbance.covariance(rows, space, x0, u[:1], 0.0, dt, frame_skip)
@@ -173,7 +174,7 @@ def test_a_force_of_density_q_changes_the_velocity_by_q_dt_over_mass_squared():
     )
     disturbance = Disturbance.build(model, state_space(model), "force", 0.3)
     dt, white = 0.02, np.random.default_rng(0).standard_normal((20_000, 1))
-    x, u, rows = np.zeros((len(white), 2)), np.zeros((len(white), 0)), Rows(model)
+    x, u, rows = np.zeros((len(white), 2)), np.zeros((len(white), 0)), backend.create(model)
     ends = rows.step(x, u, 0.0, 20, disturbance.sample(white, 0.0, dt))
     Q = disturbance.covariance(rows, state_space(model), x[:1], u[:1], 0.0, dt, 20)[0]
     # The force is held: Q = (q/m²) γ γᵀ/dt with γ = (about dt²/2, dt) by 20 semi-implicit steps.
@@ -221,7 +222,7 @@ def test_each_run_has_its_own_parameter(key, draw):
         data = mujoco.MjData(model)
         set_state(model, data, simulator.x0[run])
         for k, instant in enumerate(simulator.instants):
-            data.ctrl = mjcf.clamp(model, control(k, instant.start, None))[run]
+            data.ctrl = ControlRange.of(model).clamp(control(k, instant.start, None))[run]
             mujoco.mj_step(model, data)
             np.testing.assert_array_equal(trajectory.x[k + 1, run], get_state(data))
             sensed = mujoco.MjData(model)

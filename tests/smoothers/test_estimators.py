@@ -12,7 +12,7 @@ from estbench.experiment import setup
 from estbench.inference.event_loop import Recorded, run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.simulation.truth import simulate
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.experiment.setup import Setup
 from estbench.report.sensor_table import latency, rate
-from estbench.robots.batch import engine
 from estbench.sensors.channel import Channel
 from estbench.shapes import Array
 from estbench.simulation.truth import simulate
@@ -63,39 +62,38 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
     if not shown:
         raise EstbenchError(f"--seconds is {seconds:g}; use at least {ends[0]:g}, one step")
     simulator, controller = setup.simulator([run]), setup.controller([run])
-    with engine():
-        trajectory = simulate(simulator, controller, setup.plant.period)
-        records = []
-        for channel in setup.channels:
-            clean = np.concatenate([
-                simulator.clean([channel], ends[k], trajectory.x[k + 1], trajectory.u[k])
-                for k in range(shown)
-            ])  # fmt: skip
-            all_came = [
-                (d.due, d.taken, k, d.y[0])
-                for k, arrived in enumerate(trajectory.deliveries)
-                for d in arrived
-                if d.channel == channel.name and (d.mask is None or d.mask[0])
-            ]
-            due = {k for k in range(shown) if channel.name in setup.instants[k].channels}
-            # What is still under way when the run ends is not lost.
-            late = channel.timing.longest * channel.timing.timestep
-            lost = [k for k in due - {c[0] for c in all_came} if ends[k] + late <= ends[-1]]
-            came = [c for c in all_came if c[1] < shown]
-            space, start = channel.space, clean[:1]
-            y = np.array([c[3] for c in came]).reshape(len(came), space.nx)
-            flat = space.flat
-            records.append(
-                Record(
-                    channel,
-                    ends[:shown],
-                    clean if flat else space.minus(clean, start),
-                    ends[[c[1] for c in came]],
-                    ends[[c[2] for c in came]],
-                    y if flat else space.minus(y, start),
-                    ends[sorted(lost)],
-                )
+    trajectory = simulate(simulator, controller, setup.plant.period)
+    records = []
+    for channel in setup.channels:
+        clean = np.concatenate([
+            simulator.clean([channel], ends[k], trajectory.x[k + 1], trajectory.u[k])
+            for k in range(shown)
+        ])  # fmt: skip
+        all_came = [
+            (d.due, d.taken, k, d.y[0])
+            for k, arrived in enumerate(trajectory.deliveries)
+            for d in arrived
+            if d.channel == channel.name and (d.mask is None or d.mask[0])
+        ]
+        due = {k for k in range(shown) if channel.name in setup.instants[k].channels}
+        # What is still under way when the run ends is not lost.
+        late = channel.timing.longest * channel.timing.timestep
+        lost = [k for k in due - {c[0] for c in all_came} if ends[k] + late <= ends[-1]]
+        came = [c for c in all_came if c[1] < shown]
+        space, start = channel.space, clean[:1]
+        y = np.array([c[3] for c in came]).reshape(len(came), space.nx)
+        flat = space.flat
+        records.append(
+            Record(
+                channel,
+                ends[:shown],
+                clean if flat else space.minus(clean, start),
+                ends[[c[1] for c in came]],
+                ends[[c[2] for c in came]],
+                y if flat else space.minus(y, start),
+                ends[sorted(lost)],
             )
+        )
     return records
 
 

@@ -13,7 +13,6 @@ from estbench.errors import EstbenchError, EstimatorError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.report.sources import Entry, load
-from estbench.robots.batch import engine
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.store.zarr import STORE
@@ -117,8 +116,7 @@ def simulated(scenario: Scenario, run: int, label: str) -> Replay:
         raise EstimatorError(f"no estimator '{label}' in {scenario.name}")
     chosen = scenario.model_copy(update={"estimators": {label: scenario.estimators[label]}})
     prepared = setup.build(chosen)
-    with engine():
-        ((_, traces),) = experiment.traced(prepared, [run], keep_cov=True)
+    ((_, traces),) = experiment.traced(prepared, [run], keep_cov=True)
     assert traces is not None
     assert traces.cov is not None
     return _replay(

@@ -7,7 +7,7 @@ from estbench.errors import EstbenchError, StoreError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.report.figures import sensors as sensor_picture
-from estbench.robots.batch import engine
+from estbench.robots.library import engine
 from estbench.simulation.truth import simulate
 
 pytest.importorskip("matplotlib")

@@ -1,0 +1,98 @@
+"""A physics engine behind a MuJoCo model: the protocol, and the one place where a backend is made.
+
+Another engine is one more class with these methods, and one more case in `create`.
+"""
+
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from estbench.robots.batch import BatchBackend
+from estbench.shapes import Array
+
+
+class Backend(Protocol):
+    """Steps, sensor readings and rates of many states of one MuJoCo model, row by row.
+
+    A row is one state x = (qpos, qvel, act) of nx = nq + nv + na numbers. Every call is a function
+    of its arguments: no row remembers the call before. Rows do not influence each other. A row that
+    the engine cannot compute, or whose state is not finite, is NaN in the result.
+
+    The leading axes of x are `(run,)` or `(run, point)`. A backend is not safe to share between
+    threads.
+    """
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model, with the flags of `flags.set_flags`."""
+        ...
+
+    @property
+    def nx(self) -> int:
+        """Length of a state, nq + nv + na."""
+        ...
+
+    def step(
+        self, x: Array, u: Array, t: float | Array, nstep: int, force: Array | None = None
+    ) -> Array:
+        """States `(..., nx)` after `nstep` physics steps of the model's timestep.
+
+        Args:
+            x: states `(run, nx)` or `(run, point, nx)`.
+            u: controls `(run, nu)` or `(run, point, nu)`, broadcast over the points; not clamped.
+            t: time at the start, s; one number, or one per row `(run, 1)`.
+            nstep: number of physics steps, at least 1.
+            force: generalized forces, N or N m, broadcast to `(..., nv)` and held over the steps;
+                None for none.
+        """
+        ...
+
+    def read(
+        self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
+    ) -> Array:
+        """Noise-free sensor readings `(..., len(columns))` at x, in the units of the sensors.
+
+        Args:
+            x: as for `step`.
+            u: as for `step`.
+            t: as for `step`.
+            stage: the last forward stage (`mjtStage`) that is computed; see
+                `measurement.needed_stage`.
+            columns: columns of `sensordata` `(m,)`.
+        """
+        ...
+
+    def flow(self, x: Array, u: Array, t: float | Array, force: Array | None = None) -> Array:
+        """Rates ẋ = (q̇, q̈, ȧ) `(..., n)` at x by the whole forward dynamics, per s.
+
+        q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space. The
+        arguments are those of `step`.
+        """
+        ...
+
+    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
+        """Give each row its own value of a model parameter, in every later call of `count` rows.
+
+        Args:
+            count: number of rows.
+            field: field of `MjModel`, e.g. `body_mass`.
+            index: which of the field's elements.
+            values: one value per row `(count, ...)`.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release what the backend holds; garbage collection does the same."""
+        ...
+
+
+def create(model: mujoco.MjModel, nthread: int = 1) -> Backend:
+    """A backend for a model.
+
+    Args:
+        model: compiled by `mjcf.compile_model`, or with the flags of `flags.set_flags`.
+        nthread: number of threads that share the rows of a call.
+    """
+    return BatchBackend(model, nthread)

@@ -1,0 +1,34 @@
+"""The range of the controls: estbench clamps a control before the actuator noise is added to it."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from estbench.shapes import Array
+
+
+@dataclass(frozen=True, eq=False)
+class ControlRange:
+    """The `ctrlrange` of every actuator of a model.
+
+    Attributes:
+        low: lowest control `(nu,)`; -inf where there is no limit.
+        high: highest control `(nu,)`; inf where there is no limit.
+    """
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> "ControlRange":
+        """The range that the model declares."""
+        limited = model.actuator_ctrllimited.astype(bool)
+        return cls(
+            np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf),
+            np.where(limited, model.actuator_ctrlrange[:, 1], np.inf),
+        )
+
+    def clamp(self, u: Array) -> Array:
+        """Controls `(..., nu)` clipped to the range, as MuJoCo would clip them."""
+        return np.minimum(np.maximum(u, self.low), self.high)

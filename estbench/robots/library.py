@@ -1,0 +1,64 @@
+"""Settings of the MuJoCo library that hold for the whole process, and who needs them changed.
+
+While a backend exists the profiling callback is off (it costs a third of a step of a small model)
+and MuJoCo writes no log. Warnings are still counted in `mjData.warning`, and estbench reports the
+runs that they end. The settings are restored when the last user is gone.
+"""
+
+import ctypes
+import threading
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+
+_users = 0
+_saved: tuple[int | None, mujoco.MjLogConfig] | None = None
+# Reentrant: garbage collection may end one user while another one begins in the same thread.
+_lock = threading.RLock()
+
+
+def hold(owner: object) -> weakref.finalize:
+    """Change the settings until the result is called or the owner is garbage-collected."""
+    _enter()
+    return weakref.finalize(owner, _leave)
+
+
+@contextmanager
+def engine() -> Iterator[None]:
+    """Change the settings inside a `with` block."""
+    _enter()
+    try:
+        yield
+    finally:
+        _leave()
+
+
+def _enter() -> None:
+    global _users, _saved
+    with _lock:
+        _users += 1
+        if _users == 1:
+            _saved = (_profiling_callback().value, mujoco.MjLogConfig.get())
+            _profiling_callback().value = None
+            silent = mujoco.MjLogConfig.get()
+            silent.logto_console, silent.logto_file = 0, 0
+            mujoco.MjLogConfig.set(silent)
+
+
+def _leave() -> None:
+    global _users, _saved
+    with _lock:
+        _users -= 1
+        if _users == 0 and _saved is not None:
+            _profiling_callback().value = _saved[0]
+            mujoco.MjLogConfig.set(_saved[1])
+            _saved = None
+
+
+def _profiling_callback() -> ctypes.c_void_p:
+    """The pointer `mjcb_time` of the loaded library."""
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time")

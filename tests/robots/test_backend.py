@@ -1,0 +1,44 @@
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+import estbench
+from estbench.robots import backend
+from tests.helpers import random_states, zoo_model
+
+ROOT = Path(estbench.__file__).parent
+
+
+def files_with(pattern):
+    """Files of the package, the linked folders too, in which a line matches."""
+    folders = os.walk(ROOT, followlinks=True)
+    paths = [Path(top) / name for top, _, names in folders for name in names if name[-3:] == ".py"]
+    return [
+        path.relative_to(ROOT).as_posix()
+        for path in paths
+        if re.search(pattern, path.read_text(), re.MULTILINE)
+    ]
+
+
+def test_one_file_imports_mujocos_batch():
+    pattern = r"mujoco\.batch import|import mujoco\.batch|from mujoco import .*\bbatch\b"
+    assert files_with(pattern) == ["robots/batch.py"]
+
+
+def test_one_file_makes_backends():
+    assert files_with(r"\bBatchBackend\(") == ["robots/backend.py"]
+
+
+def test_the_calls_do_not_depend_on_the_number_of_threads_or_of_rows():
+    model = zoo_model("joints")
+    x, u = random_states(model, 6)
+    one, two = backend.create(model), backend.create(model, nthread=2)
+    assert one.model is model
+    assert one.nx == x.shape[1]
+    for call in (lambda b, x, u: b.step(x, u, 0.0, 3), lambda b, x, u: b.flow(x, u, 0.0)):
+        whole = call(one, x, u)
+        np.testing.assert_array_equal(call(two, x, u), whole)
+        np.testing.assert_array_equal(call(one, x[2:3], u[2:3]), whole[2:3])
+        np.testing.assert_array_equal(call(one, x[:, None], u), whole[:, None])
