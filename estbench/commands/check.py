@@ -134,7 +134,7 @@ def render_check(resolved: Scenario) -> Group:
             channel.kind,
             " ".join(f"{s:.3g}" for s in std),
             channel.space.units[0],
-            f"{1 / (channel.period * model.opt.timestep):g} Hz",
+            f"{channel.timing.rate:.5g} Hz",
             STAGES[max((model.sensor_needstage[i] for i in channel.measurand.sensors), default=0)],
         )
     control = resolved.control

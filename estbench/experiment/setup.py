@@ -147,7 +147,7 @@ class Setup:
         section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
         if section.window is not None:
             return int(section.window / timestep + 1e-9)
-        late = [c.timing.longest for c in self.channels]
+        late = [c.timing.longest_delay for c in self.channels]
         late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
         # A reading is fused at the first instant after its arrival, up to one interval later.
         slack = max(i.nstep for i in self.instants) if any(late) else 0
@@ -194,11 +194,11 @@ def build(scenario: Scenario) -> Setup:
         scenario.sensors,
         section.frame_skip,
         duration,
-        resolution.native_timing(spec, truth),
+        resolution.mjcf_timings(spec, truth),
         belief.channels,
     )
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
-    truth.sensor_cutoff[np.isfinite(sensors.native_cutoff(truth))] = 0.0
+    truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
     mean, cov = resolution.initial(scenario.initial, truth, space, x0)
     instants = timing.instants(

@@ -138,7 +138,7 @@ def _sensor(prepared: setup.Setup, channel: Channel) -> tuple[str, ...]:
         channel.kind,
         " ".join(f"{s:.3g}" for s in std),
         channel.space.units[0],
-        f"{1 / (timing.period * timing.timestep):g} Hz",
+        f"{timing.rate:.5g} Hz",
         ", ".join(also),
     )
 

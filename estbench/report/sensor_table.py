@@ -29,19 +29,13 @@ def render(setup: Setup) -> Group:
             channel.kind,
             numbers(np.sqrt(np.diag(channel.cov))),
             " ".join(dict.fromkeys(channel.space.units)),
-            f"{rate(channel):.4g} Hz",
+            f"{channel.timing.rate:.5g} Hz",
             latency(channel),
             ", ".join(words(channel)) or "white noise only",
         )
     lines = [Text(line) for line in _believed(setup)]
     lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)
-
-
-def rate(channel: Channel) -> float:
-    """Readings a second."""
-    timing = channel.timing
-    return 1 / ((timing.uneven[1] if timing.uneven else timing.period) * timing.timestep)
 
 
 def latency(channel: Channel) -> str:

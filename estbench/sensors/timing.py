@@ -1,9 +1,10 @@
-"""When channels sample, when their readings arrive, and the instants of the event loop.
+"""Sampling times of channels, arrival times of readings, and the instants of the event loop.
 
-Times are counted in physics steps (ticks); every instant is one. A channel is due at
-phase, phase + period, ... (the first after t = 0; without a phase at its first period, as P₀ says
-what is known before). With jitter a run's reading is taken some ticks off. It arrives at once, or
-with latency some ticks later, at the first instant that is not earlier.
+Times are counted in physics steps (ticks). The readings of a channel are due at phase,
+phase + period, ...; without a phase the first one is due after one period, because P₀ describes
+the knowledge at t = 0. Jitter shifts the sampling time of each reading, in each run, by a random
+count of ticks. A reading with latency arrives at the first instant at or after its sampling time
+plus the latency; without latency it arrives when it is sampled.
 """
 
 from collections.abc import Sequence
@@ -16,18 +17,19 @@ from estbench.randomness import streams
 from estbench.shapes import Ints
 
 MOST_INSTANTS = 5_000_000
-"""Most instants of a run: each takes half a kilobyte, these 2.5 GB."""
+"""Upper limit of the instants per run: 2.5 GB at half a kilobyte each."""
 
 
 @dataclass(frozen=True)
-class Native:
-    """A sensor's rhythm as its MJCF says it, in s; a sensor without a history has none.
+class MjcfTiming:
+    """The sampling times and the delay that the MJCF gives a sensor, in s.
 
     Attributes:
-        period: `interval`'s first number; 0 for every physics step.
-        phase: its second, in (-period, 0]: readings are due at phase + period, ....
-        delay: `delay`, read from the history without interpolation.
-        nsample: readings that the history holds; MuJoCo ignores the rest unless it is positive.
+        period: first number of `interval`; 0 for every physics step.
+        phase: second number of `interval`, in (-period, 0]: readings are due at phase + period,
+            phase + 2 period, ....
+        delay: `delay`; the history is read without interpolation.
+        nsample: readings that the history holds; MuJoCo ignores the other attributes if it is 0.
     """
 
     period: float = 0.0
@@ -36,19 +38,19 @@ class Native:
     nsample: int = 0
 
     def timing(self, timestep: float, default: int) -> "Timing":
-        """The rhythm in physics steps; `default` steps between readings where it has no period."""
+        """The timing in physics steps; the period is `default` steps where the MJCF gives none."""
         delay = self.delay / timestep if self.nsample else 0.0
         if not self.nsample or self.period <= 0:
-            # Without a period the history holds a reading a physics step.
+            # Without a period the history holds one reading per physics step.
             return Timing(default, latency=min(delay, float(self.nsample)), timestep=timestep)
         interval = max(1.0, self.period / timestep)
         first = max(1.0, (self.phase + self.period) / timestep)
-        slots = self.nsample if delay > 0 else 0
+        history = self.nsample if delay > 0 else 0
         even = all(abs(value - round(value)) < 1e-6 for value in (first, interval))
         return Timing(
             round(interval) if even else int(interval), round(first) if even else 0,
-            latency=delay, timestep=timestep, uneven=None if even else (first, interval),
-            slots=slots,
+            latency=delay, timestep=timestep, fractional=None if even else (first, interval),
+            history=history,
         )  # fmt: skip
 
 
@@ -60,7 +62,7 @@ class Instant:
         start, end: s.
         nstep: physics steps between them.
         channels: names of the channels that are due at `end`.
-        control: whether the controller is asked at `start`.
+        control: whether the controller is evaluated at `start`.
         tick: physics steps since t = 0 at `end`.
     """
 
@@ -77,16 +79,16 @@ class Timing:
     """Rate, phase, jitter and latency of a channel, in ticks.
 
     Attributes:
-        period: between readings.
-        phase: of the first reading; 0 means one period.
+        period: between readings; rounded down where `fractional` is given.
+        phase: time of the first reading; 0 means one period.
         jitter: largest deviation of the sampling time; less than half a period.
         latency: mean time from sampling to arrival.
-        latency_std: its standard deviation.
-        timestep: s a tick.
-        uneven: first reading and interval where they are no whole counts of ticks; a reading is
-            then taken at the first tick that is not earlier.
-        slots: readings that a MuJoCo history holds: one is pushed out, and so arrives, a tick after
-            the last of them was taken; 0 for no limit.
+        latency_std: standard deviation of the latency.
+        timestep: length of one tick, s.
+        fractional: time of the first reading and interval between readings, where they are not
+            integers; a reading is then sampled at the first tick that is not earlier.
+        history: readings that MuJoCo's history holds, 0 for no limit. The oldest reading leaves
+            a full history, and so arrives, one tick after the newest was sampled.
     """
 
     period: int
@@ -95,30 +97,40 @@ class Timing:
     latency: float = 0.0
     latency_std: float = 0.0
     timestep: float = 1.0
-    uneven: tuple[float, float] | None = None
-    slots: int = 0
+    fractional: tuple[float, float] | None = None
+    history: int = 0
+
+    @property
+    def interval(self) -> float:
+        """Mean time between readings, s."""
+        return (self.fractional[1] if self.fractional else self.period) * self.timestep
+
+    @property
+    def rate(self) -> float:
+        """Mean rate of the readings, Hz."""
+        return 1.0 / self.interval
 
     @property
     def punctual(self) -> bool:
-        """Whether every reading is taken in an even rhythm and arrives at once."""
-        return not (self.jitter or self.latency or self.latency_std or self.uneven)
+        """Whether all readings are sampled periodically and arrive when they are sampled."""
+        return not (self.jitter or self.latency or self.latency_std or self.fractional)
 
     @property
-    def longest(self) -> int:
-        """Ticks after which a reading has all but surely arrived (five standard deviations)."""
+    def longest_delay(self) -> int:
+        """Upper limit of the arrival time after the due time, ticks (five standard deviations)."""
         return int(np.ceil(self.latency + 5 * self.latency_std - 1e-9)) + self.jitter
 
     def due(self, ticks: int) -> Ints:
         """Ticks `(reading,)` at which readings are due up to `ticks`."""
-        if self.uneven is None:
+        if self.fractional is None:
             return np.arange(self.phase or self.period, ticks + 1, self.period)
-        first, interval = self.uneven
+        first, interval = self.fractional
         count = max(0, int((ticks - first) / interval) + 1)
         due = np.ceil(first + interval * np.arange(count) - 1e-6).astype(np.int64)
         return due[due <= ticks]
 
     def sampled(self, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
-        """Ticks `(reading, run)` at which each run's readings are taken."""
+        """Ticks `(reading, run)` at which the readings of each run are sampled."""
         due = self.due(ticks)[:, None] + np.zeros(len(runs), np.int64)
         if not self.jitter:
             return due
@@ -127,17 +139,17 @@ class Timing:
         return np.clip(due + off, 1, None)
 
     def arrived(self, sampled: Ints, seed: int, runs: Sequence[int], name: str, ticks: int) -> Ints:
-        """Ticks `(reading, run)` at which readings arrive that were sampled so.
+        """Ticks `(reading, run)` at which readings arrive that were sampled at ticks `sampled`.
 
-        A random latency is a normal number, but never negative.
+        A random latency is normally distributed and clipped at 0.
         """
         late = np.full(sampled.shape, self.latency)
         if self.latency_std:
             z = streams.normals(seed, runs, f"sensor:{name}:latency", len(sampled), 1)[..., 0]
             late = np.maximum(late + self.latency_std * z, 0.0)
         out = sampled + np.ceil(late - 1e-6).astype(np.int64)
-        if self.slots:
-            following = self.due(ticks + self.slots * (self.period + 1))[self.slots - 1 :] + 1
+        if self.history:
+            following = self.due(ticks + self.history * (self.period + 1))[self.history - 1 :] + 1
             out = np.minimum(out, following[: len(out), None])
         return out
 
@@ -147,7 +159,8 @@ def instants(
 ) -> list[Instant]:
     """The instants of the event loop: every filter step and every sampling time, in order.
 
-    The last filter step ends at the duration rounded to a whole count of them (at least one).
+    The last filter step ends at the duration, rounded to an integer count of filter steps (at
+    least one).
 
     Args:
         channels: name and timing of each channel.
@@ -156,7 +169,8 @@ def instants(
         duration: s.
 
     Raises:
-        ScenarioError: more than `MOST_INSTANTS`, or a jitter that would change the readings' order.
+        ScenarioError: more than `MOST_INSTANTS`, or a jitter that could change the order of the
+            readings.
     """
     _check_count(channels, timestep, frame_skip, duration)
     last_tick = max(1, round(duration / (timestep * frame_skip))) * frame_skip
@@ -185,14 +199,17 @@ def instants(
 def _check_count(
     channels: Sequence[tuple[str, Timing]], timestep: float, frame_skip: int, duration: float
 ) -> None:
-    """Refuse a run whose instants would not fit into memory, before any of them is made."""
-    # What falls on the filter's steps adds no instant, nor does a rhythm that another channel has.
+    """Refuse a run whose instants would not fit into memory, before they are computed."""
+    # Readings at the filter's steps add no instant, nor does a second channel of equal timing.
     between = {
         timing
         for _, timing in channels
-        if timing.jitter or timing.uneven or timing.period % frame_skip or timing.phase % frame_skip
+        if timing.jitter
+        or timing.fractional
+        or timing.period % frame_skip
+        or timing.phase % frame_skip
     }
-    rates = [(2 * t.jitter + 1) / (t.uneven[1] if t.uneven else t.period) for t in between]
+    rates = [(2 * t.jitter + 1) / (t.fractional[1] if t.fractional else t.period) for t in between]
     ticks = duration / timestep
     steps, count = ticks / frame_skip, ticks * min(1.0, 1 / frame_skip + sum(rates))
     if count > MOST_INSTANTS:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.experiment.setup import Setup
-from estbench.report.sensor_table import latency, rate
+from estbench.report.sensor_table import latency
 from estbench.robots.batch import engine
 from estbench.sensors.channel import Channel
 from estbench.shapes import Array
@@ -79,7 +79,7 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
             ]
             due = {k for k in range(shown) if channel.name in setup.instants[k].channels}
             # What is still under way when the run ends is not lost.
-            late = channel.timing.longest * channel.timing.timestep
+            late = channel.timing.longest_delay * channel.timing.timestep
             lost = [k for k in due - {c[0] for c in all_came} if ends[k] + late <= ends[-1]]
             came = [c for c in all_came if c[1] < shown]
             space, start = channel.space, clean[:1]
@@ -201,7 +201,7 @@ def _described(one: Record, axis: str) -> Iterator[str]:
     if not axis.startswith(channel.name):
         yield channel.name
     yield channel.kind
-    yield f"{rate(channel):.4g} Hz"
+    yield f"{channel.timing.rate:.5g} Hz"
     if latency(channel):
         yield f"{latency(channel)} late"
     if len(one.lost):
