@@ -13,6 +13,7 @@ import numpy as np
 from estbench.errors import EstbenchError, MissingExtraError
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
+from estbench.sensors.description import ChannelDescription
 from estbench.sensors.sampling import Readings
 from estbench.shapes import Array
 
@@ -101,9 +102,11 @@ def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> 
     """
     gaps = channel.imperfections is not None and channel.imperfections.dropout > 0
     if gaps or not channel.space.flat or not channel.timing.punctual:
+        described = ChannelDescription.of(channel)
         raise EstbenchError(
-            f"channel '{channel.name}' has a quaternion, gaps, jitter or latency; an Allan "
-            "deviation needs evenly spaced numbers"
+            f"channel '{channel.name}' has a quaternion, gaps, jitter or latency "
+            f"({described.summary}; {described.imperfections_text}); an Allan deviation needs "
+            "evenly spaced numbers"
         )
     named = [(channel.name, channel.timing)]
     step = channel.timing.timestep

@@ -111,6 +111,12 @@ class Timing:
         return 1.0 / self.interval
 
     @property
+    def first(self) -> float:
+        """Due time of the first reading, s."""
+        first = self.fractional[0] if self.fractional else self.phase or self.period
+        return first * self.timestep
+
+    @property
     def punctual(self) -> bool:
         """Whether all readings are sampled periodically and arrive when they are sampled."""
         return not (self.jitter or self.latency or self.latency_std or self.fractional)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.experiment.setup import Setup
-from estbench.report.sensor_table import latency
 from estbench.robots.batch import engine
 from estbench.sensors.channel import Channel
+from estbench.sensors.description import ChannelDescription
 from estbench.shapes import Array
 from estbench.simulation.truth import simulate
 from estbench.tables.destination import check_file
@@ -200,9 +200,6 @@ def _described(one: Record, axis: str) -> Iterator[str]:
     channel = one.channel
     if not axis.startswith(channel.name):
         yield channel.name
-    yield channel.kind
-    yield f"{channel.timing.rate:.5g} Hz"
-    if latency(channel):
-        yield f"{latency(channel)} late"
+    yield ChannelDescription.of(channel).summary
     if len(one.lost):
         yield f"{len(one.lost)} lost"
