@@ -126,11 +126,11 @@ class Flawed:
         """As `Source.read`."""
         channel = self.channel
         white = self._white.draw(due) * (not self._quiet)
-        noise = channel.coloured(white, 0.0) if channel.schedule is None else np.empty_like(white)
+        noise = channel.noise_from(white, 0.0) if channel.schedule is None else np.empty_like(white)
         if channel.schedule is not None:  # a row has its own time, most have the same
             for t in np.unique(time):
                 rows = time == t
-                noise[rows] = channel.coloured(white[rows], float(t))
+                noise[rows] = channel.noise_from(white[rows], float(t))
         if channel.imperfections is None or self._state is None:
             return channel.space.plus(clean, noise), None
         draws: Draws = {}

@@ -132,7 +132,7 @@ class Readings:
 
     def depth(self, stride: int) -> int:
         """How many strides of physics steps late a reading may be (five standard deviations)."""
-        late = (c.timing.longest for c in self.channels)
+        late = (c.timing.longest_delay for c in self.channels)
         return -(-max(late, default=0) // stride)
 
     def stride(self, steps: int) -> int:

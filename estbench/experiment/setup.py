@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 
 from estbench.consistency.records import RESERVED
-from estbench.errors import EstimatorError, ScenarioError
+from estbench.errors import EstbenchError, EstimatorError, ScenarioError, user_error_location
 from estbench.estimators import registry
-from estbench.estimators.adaptive import AdaptiveEKF
-from estbench.estimators.protocol import Estimator
+from estbench.estimators.protocol import Estimator, ScheduleCheck
 from estbench.experiment import build as resolution
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
@@ -30,7 +29,6 @@ from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array
 from estbench.simulation import controllers
 from estbench.simulation.truth import Simulator
-from estbench.smoothers.estimators import MAP
 from estbench.spaces.manifold import Manifold
 
 
@@ -147,7 +145,7 @@ class Setup:
         section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
         if section.window is not None:
             return int(section.window / timestep + 1e-9)
-        late = [c.timing.longest for c in self.channels]
+        late = [c.timing.longest_delay for c in self.channels]
         late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
         # A reading is fused at the first instant after its arrival, up to one interval later.
         slack = max(i.nstep for i in self.instants) if any(late) else 0
@@ -216,11 +214,11 @@ def build(scenario: Scenario) -> Setup:
         scenario.sensors,
         section.frame_skip,
         duration,
-        resolution.native_timing(spec, truth),
+        resolution.mjcf_timings(spec, truth),
         belief.channels,
     )
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
-    truth.sensor_cutoff[np.isfinite(sensors.native_cutoff(truth))] = 0.0
+    truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
     mean, cov = resolution.initial(scenario.initial, truth, space, x0)
     instants = timing.instants(
@@ -291,21 +289,25 @@ def _check_window(setup: Setup) -> None:
 
 
 def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
-    """Refuse windows that are longer than the run."""
+    """Refuse windows that are longer than the run.
+
+    Raises:
+        EstimatorError: `start.window` or a setting of the estimator needs a longer run.
+    """
     end, arrivals = setup.instants[-1].end, sum(bool(i.channels) for i in setup.instants)
     start = setup.start(label)
-    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
     if start.method != "prior" and start.window >= end:
         raise EstimatorError(
             f"{label}: start.window is {start.window:g} s but the run only {end:g} s; shorten it"
         )
-    if isinstance(inner, MAP) and inner.window is not None and inner.window > end + 1e-9:
+    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
+    if not isinstance(inner, ScheduleCheck):
+        return
+    try:
+        inner.check_schedule(end, arrivals, frozenset(setup.settings(label)))
+    except EstbenchError as error:
+        raise EstimatorError(f"{label}: {error}") from None
+    except Exception as error:  # a user's estimator may raise anything
         raise EstimatorError(
-            f"{label}: window is {inner.window:g} s but the run only {end:g} s; shorten it, or "
-            "leave it out for the whole run"
-        )
-    asked = "window" in setup.settings(label)  # the default may look beyond a short run
-    if isinstance(inner, AdaptiveEKF) and asked and inner.window > arrivals:
-        raise EstimatorError(
-            f"{label}: window is {inner.window} arrivals but the run has {arrivals}; shorten it"
-        )
+            f"{label}: check_schedule raised {user_error_location(error)}"
+        ) from None

@@ -15,7 +15,7 @@ from estbench.robots.measurement import Measurand
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
 from estbench.sensors import datasheet, measurands, schedules
 from estbench.sensors.imperfections import Imperfections
-from estbench.sensors.timing import Native, Timing
+from estbench.sensors.timing import MjcfTiming, Timing
 from estbench.shapes import Array
 from estbench.spaces.manifold import Manifold
 
@@ -66,11 +66,6 @@ class Channel:
             )
         return self.measurand.sensors[0]
 
-    @property
-    def period(self) -> int:
-        """Physics steps between readings."""
-        return self.timing.period
-
     @cached_property
     def factor(self) -> Array:
         """L with L Lᵀ = R; zero rows where the sensor is exact."""
@@ -78,7 +73,7 @@ class Channel:
         factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
         return factor.astype(np.float64)
 
-    def coloured(self, white: Array, t: float) -> Array:
+    def noise_from(self, white: Array, t: float) -> Array:
         """Noise ~ N(0, R) `(..., m)` of readings due at t, s, from standard normals `(..., m)`."""
         factor, size = self.factor, None
         if self.schedule is not None:
@@ -98,7 +93,7 @@ def build(
     use: Sequence[str] | None,
     frame_skip: int,
     duration: float = 0.0,
-    native: Mapping[str, Native] | None = None,
+    mjcf_timings: Mapping[str, MjcfTiming] | None = None,
     believed: Mapping[str, BelievedChannelSection] | None = None,
 ) -> tuple[list[Channel], list[str]]:
     """The channels in use, and notices about what was assumed.
@@ -111,7 +106,7 @@ def build(
         use: names in use, or None for all.
         frame_skip: physics steps of a filter step: the default period.
         duration: of a run, s; schedules must last as long.
-        native: name -> the MJCF's own rhythm of a sensor with a history.
+        mjcf_timings: name -> the MJCF's own rhythm of a sensor with a history.
         believed: the scenario's `[filter.channels.NAME]`; a channel whose R is given there may be
             free of noise.
 
@@ -126,9 +121,8 @@ def build(
         measurand, kind = measurands.build(name, section, model, names)
         timing = _timing(
             section, where, model.opt.timestep, frame_skip,
-            [(native or {}).get(names[i], Native()) for i in measurand.sensors],
+            [(mjcf_timings or {}).get(names[i], MjcfTiming()) for i in measurand.sensors],
         )  # fmt: skip
-        rate = 1.0 / (timing.period * timing.timestep)
         belief = (believed or {}).get(name, BelievedChannelSection())
         exact = belief.noise is not None or belief.cov is not None
         std = _per_axis(model, measurand, model.sensor_noise)
@@ -137,15 +131,17 @@ def build(
         )  # fmt: skip
         constants = "noise", "noise_density", "cov"
         notices += schedules.unused(schedule, section, constants, where)
-        cov, assumed = schedules.whole(schedule), np.zeros(measurand.space.n)
+        cov, assumed = schedules.initial_covariance(schedule), np.zeros(measurand.space.n)
         if cov is None:
-            cov, assumed = datasheet.covariance(section, where, measurand.space, std, rate, exact)
+            cov, assumed = datasheet.covariance(
+                section, where, measurand.space, std, timing.rate, exact
+            )
         if assumed.any():
             guess = dict.fromkeys(
                 f"{s:g} {unit}" for s, unit in zip(assumed, measurand.space.units) if s
             )
             notices.append(f"{name}: no noise given; assuming {', '.join(guess)}")
-        cutoff = _per_axis(model, measurand, native_cutoff(model), np.inf)
+        cutoff = _per_axis(model, measurand, mjcf_cutoff(model), np.inf)
         imperfections = datasheet.imperfections(section, where, measurand.space, cutoff)
         read = tuple(names[i] for i in measurand.sensors)
         columns = measurand.columns(model)
@@ -196,7 +192,7 @@ def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> 
     return [f"not in use, as `sensors` does not name it: {name}" for name in idle]
 
 
-def native_cutoff(model: mujoco.MjModel) -> Array:
+def mjcf_cutoff(model: mujoco.MjModel) -> Array:
     """Saturation that the MJCF gives each sensor `(nsensor,)`, infinite for none.
 
     MuJoCo clips neither unit vectors nor quaternions, and the cutoff of its distance sensors is
@@ -234,25 +230,25 @@ def _timing(
     where: str,
     timestep: float,
     frame_skip: int,
-    native: Sequence[Native],
+    mjcf_timings: Sequence[MjcfTiming],
 ) -> Timing:
     """From the scenario, else from the MJCF."""
-    if len(set(native)) > 1 and (section.rate is None or section.latency is None):
+    if len(set(mjcf_timings)) > 1 and (section.rate is None or section.latency is None):
         raise ScenarioError(
             f"{where}.of: the MJCF gives its sensors different interval, delay or nsample; give "
             f"{where}.rate and {where}.latency"
         )
-    timing = (native[0] if native else Native()).timing(timestep, frame_skip)
+    timing = (mjcf_timings[0] if mjcf_timings else MjcfTiming()).timing(timestep, frame_skip)
     if section.rate is not None:
         period = _period(section.rate, timestep, f"{where}.rate")
-        timing = replace(timing, period=period, phase=0, uneven=None, slots=0)
+        timing = replace(timing, period=period, phase=0, fractional=None, history=0)
     if section.phase is not None:
         # As MuJoCo does: a reading is taken at the first step that is not earlier.
         phase = int(np.ceil(section.phase / timestep - 1e-9))
-        uneven = (float(max(phase, 1)), timing.uneven[1]) if timing.uneven else None
-        timing = replace(timing, phase=phase, uneven=uneven)
+        fractional = (float(max(phase, 1)), timing.fractional[1]) if timing.fractional else None
+        timing = replace(timing, phase=phase, fractional=fractional)
     if section.latency is not None:
-        timing = replace(timing, latency=section.latency / timestep, slots=0)
+        timing = replace(timing, latency=section.latency / timestep, history=0)
     jitter = int(section.jitter / timestep + 1e-9)
     if section.jitter and not jitter:
         raise ScenarioError(

@@ -57,7 +57,7 @@ class Sampler:
         block = BLOCK if last is None else len(timing.due(last))
         self._noise = RowDraws(
             rows, f"sensor:{name}", m, block=block,
-            shape=partial(channel.coloured, t=0.0) if channel.schedule is None else None,
+            shape=partial(channel.noise_from, t=0.0) if channel.schedule is None else None,
         )  # fmt: skip
         normals, uniforms = ({}, {}) if part is None else (part.normals(m), part.uniforms())
         self._draws = {
@@ -210,10 +210,10 @@ class Sampler:
         """Noise `(row, m)` of readings due at these ticks, from standard normals `(row, m)`."""
         channel, timestep = self.channel, self.channel.timing.timestep
         if isinstance(due, int):
-            return channel.coloured(white, timestep * due)
+            return channel.noise_from(white, timestep * due)
         out = np.empty_like(white)
         for tick in np.unique(due):
-            out[due == tick] = channel.coloured(white[due == tick], float(timestep * tick))
+            out[due == tick] = channel.noise_from(white[due == tick], float(timestep * tick))
         return out
 
     def _switch_on(

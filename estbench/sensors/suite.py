@@ -71,7 +71,7 @@ class SensorSuite:
             # A look of its own: a filter's first measurement comes one period after the start.
             point, width = self._points[channel.name], channel.space.n
             white = streams.normals(seed, runs, f"sensor:{channel.name}:look", 1, width)[0]
-            y = channel.space.plus(clean[:, point], channel.coloured(white, 0.0))
+            y = channel.space.plus(clean[:, point], channel.noise_from(white, 0.0))
             self.latest[rows, point] = y
 
     def read(

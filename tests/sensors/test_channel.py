@@ -6,7 +6,7 @@ from scipy import stats
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
 from estbench.sensors import channel as sensors
-from estbench.sensors.timing import Native, Timing, instants
+from estbench.sensors.timing import MjcfTiming, Timing, instants
 from tests.helpers import zoo_model
 
 FULL_R = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.05]]
@@ -163,9 +163,9 @@ def schedule(periods, frame_skip=1, duration=0.05, timestep=0.005):
 
 
 def test_rate_becomes_a_period_of_physics_steps():
-    assert channel("gyro", rate=250).period == 1  # timestep 4 ms
-    assert channel("gyro", rate=25).period == 10
-    assert build(["gyro"], frame_skip=3)[0][0].period == 3
+    assert channel("gyro", rate=250).timing.period == 1  # timestep 4 ms
+    assert channel("gyro", rate=25).timing.period == 10
+    assert build(["gyro"], frame_skip=3)[0][0].timing.period == 3
 
 
 def test_multi_rate_schedule_by_hand():
@@ -243,7 +243,7 @@ def test_sensors_taken_together_are_one_channel_in_place_of_themselves():
     assert imu.space.names == ("gyro.x", "gyro.y", "gyro.z", "lift_encoder")
     adr = [model.sensor(name).adr[0] for name in imu.sensors]
     assert imu.columns.tolist() == [adr[0], adr[0] + 1, adr[0] + 2, adr[1]]
-    assert imu.period == 2
+    assert imu.timing.period == 2
     noise = imu.noise(1, range(40), np.zeros(500)).reshape(-1, 4)
     sigma = np.sqrt((np.outer(np.diag(R), np.diag(R)) + R**2) / len(noise))
     assert (np.abs(noise.T @ noise / len(noise) - R) < 6 * sigma).all()
@@ -333,13 +333,13 @@ def test_a_new_channel_needs_a_name_of_its_own():
 
 
 def test_sensors_of_different_rhythm_need_one():
-    native = {"gyro": Native(0.1, 0.0, 0.0, 1)}
+    given_by_mjcf = {"gyro": MjcfTiming(0.1, 0.0, 0.0, 1)}
     section = {"imu": ChannelSection(of=["gyro", "lift_encoder"])}
     with pytest.raises(ScenarioError, match=r"imu\.of: .*different interval, .*imu\.rate and"):
-        sensors.build(zoo_model("joints"), section, None, 1, native=native)
+        sensors.build(zoo_model("joints"), section, None, 1, mjcf_timings=given_by_mjcf)
     given = {"imu": ChannelSection(of=["gyro", "lift_encoder"], rate=50, latency=0)}
-    channels, _ = sensors.build(zoo_model("joints"), given, None, 1, native=native)
-    assert channels[-1].period == 5
+    channels, _ = sensors.build(zoo_model("joints"), given, None, 1, mjcf_timings=given_by_mjcf)
+    assert channels[-1].timing.period == 5
 
 
 def test_a_sensor_free_of_noise_needs_an_r_that_is_believed():
