@@ -87,9 +87,9 @@ class Setup:
         """Channel -> the manifold of its readings, in the measurement's order."""
         return {c.name: c.space for c in self.channels}
 
-    def estimator(self, label: str) -> Estimator:
+    def estimator(self, label: str, nthread: int = 1) -> Estimator:
         """The estimator of that label on a fresh model, started as the scenario says."""
-        model, start = self.model(), self.start(label)
+        model, start = self.model(nthread), self.start(label)
         settings = self.settings(label)
         if isinstance(settings.get("models"), list):
             settings["models"] = [self._varied(label, table) for table in settings["models"]]
@@ -106,6 +106,24 @@ class Setup:
                 f"{where}: {changes!r} is no table; use one like that of filter.set"
             )
         return self.model(robot=parameters.changed(self.filter_model, changes, where))
+
+    def depends_on_time(self, label: str) -> bool:
+        """Whether what the estimator of that label computes may depend on the time.
+
+        Schedules, functions of the state that are given the time and MuJoCo's clocks do, and a fit
+        of the first readings; what a user's own estimator does nobody knows.
+        """
+        model, clock = self.filter_model, mujoco.mjtSensor.mjSENS_CLOCK
+        used = [i for channel in self.channels for i in channel.measurand.sensors]
+        estimator = registry.resolve(str(self.settings(label).get("type", label)))
+        return bool(
+            self.start(label).method != "prior"
+            or self.filter_disturbance.schedule is not None
+            or any(channel.scale is not None for channel in self.filter_channels)
+            or any(channel.measurand.function is not None for channel in self.channels)
+            or (model.sensor_type[used] == clock).any()
+            or not estimator.__module__.startswith("estbench.")
+        )
 
     def settings(self, label: str) -> dict[str, Any]:
         """The estimator's own settings, without those of the event loop."""
@@ -164,6 +182,7 @@ class Setup:
         instants: Sequence[Instant] | None = None,
         nthread: int = 1,
         look: bool = False,
+        timed: bool = False,
     ) -> Simulator:
         """The true robot in many rows; see `Simulator`."""
         factor = np.asarray(np.linalg.cholesky(self.cov), np.float64)
@@ -179,6 +198,7 @@ class Setup:
             instants,
             nthread,
             look,
+            timed,
         )
 
     @property

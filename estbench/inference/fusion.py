@@ -6,7 +6,7 @@ to is taken from memory, and everything received since is replayed (Bar-Shalom, 
 """
 
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -93,20 +93,21 @@ class Fusion:
         Args:
             rows: `(row,)`.
             fresh: a belief of all rows, of which those of the mask are taken.
+
+        Raises:
+            SelectionError: the belief cannot be taken apart by rows; nothing has changed.
         """
-        self._start[rows], self.late[rows] = self._count, 0
-        if rows.all():
-            self.belief = fresh
-            self._steps.clear()
-            self._began.clear()
-            self._inbox.forget(self._count)
-            return
         self.belief = select(rows, fresh, self.belief)
+        self._start[rows], self.late[rows] = self._count, 0
         if self._memory:
             self._began.append((rows, fresh))
 
-    def step(self, event: Event, u: Array, arrived: list[Delivery]) -> None:
-        """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there."""
+    def step(self, event: Event, u: Array, arrived: Sequence[Delivery]) -> int:
+        """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there.
+
+        Returns:
+            The number of the first event that may be updated again.
+        """
         k = self._count
         first = np.full(len(self.late), k)
         for delivery in arrived:
@@ -121,7 +122,7 @@ class Fusion:
             self._began = []
         self._count += 1
         self.belief = self._update(k, step, self.belief)
-        self._forget(event.tick)
+        return self._forget(event.tick)
 
     def _file(self, k: int, event: Event, delivery: Delivery, first: Ints) -> None:
         """Put a delivery where it is to be fused, and note the event `(row,)` it goes back to."""
@@ -255,11 +256,13 @@ class Fusion:
         if np.any(answer[1].dof):
             self._checked.add(channels)
 
-    def _forget(self, tick: int) -> None:
-        """Drop what no reading can reach any more."""
+    def _forget(self, tick: int) -> int:
+        """Drop what no reading can reach any more; the first event that is left."""
         oldest = tick - self._delays.window
         gone = 0
         while gone < len(self._steps) and self._steps[gone].event.tick < oldest:
             gone += 1
         del self._steps[:gone]
-        self._inbox.forget(self._count - len(self._steps))
+        left = self._count - len(self._steps)
+        self._inbox.forget(left)
+        return left

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from estbench.randomness.streams import Seeds, streams
-from estbench.shapes import Array, Mask
+from estbench.shapes import Array, Ints, Mask
 
 Kind = Literal["normal", "uniform"]
 BLOCK = 32
@@ -47,7 +47,7 @@ class RowDraws:
         self._count = np.zeros(rows, np.int64)
         self._together: int | None = 0
 
-    def start(self, rows: Sequence[int], seed: Seeds, runs: Sequence[int]) -> None:
+    def start(self, rows: Ints, seed: Seeds, runs: Sequence[int]) -> None:
         """Begin anew in some rows, each with the stream of its run.
 
         Args:
@@ -61,7 +61,7 @@ class RowDraws:
             self._together = 0
         elif self._together is not None:
             self._count[:], self._together = self._together, None
-        for row, generator in zip(rows, streams(seed, runs, self._purpose)):
+        for row, generator in zip(rows.tolist(), streams(seed, runs, self._purpose)):
             self._generators[row], self._count[row] = generator, 0
             self._fill(row)
 

@@ -114,6 +114,7 @@ class Plan:
         parts = []
         for source in self._sources:
             if source.function is not None:
+                assert isinstance(t, float)  # one time for all: see `timed`
                 parts.append(source.call(x, u, t))
                 continue
             parts.append(sensed[..., start : start + source.space.nx])

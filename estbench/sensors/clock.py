@@ -86,9 +86,9 @@ class Clocks:
         """Start and end of an event by each row's own clock, s; numbers where it is the same."""
         if self.shared:
             return event.instant.start, event.instant.end
-        end = event.tick - self._begin
+        end = (event.tick - self._begin)[:, None].astype(np.float64)
         timestep = self._schedule.timestep
-        return ((end - event.instant.nstep) * timestep)[:, None], (end * timestep)[:, None]
+        return (end - event.instant.nstep) * timestep, end * timestep
 
     def _groups(self, rows: Mask | None) -> Iterator[Mask | None]:
         """The rows, or, where the time matters, those of each clock."""

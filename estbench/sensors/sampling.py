@@ -61,9 +61,10 @@ class Sampler:
         )  # fmt: skip
         normals, uniforms = ({}, {}) if part is None else (part.normals(m), part.uniforms())
         self._draws = {
-            k: RowDraws(rows, f"sensor:{name}:{k}", width, kind, block)
-            for kind, widths in (("normal", normals), ("uniform", uniforms))
-            for k, width in widths.items()
+            k: RowDraws(
+                rows, f"sensor:{name}:{k}", width, "normal" if k in normals else "uniform", block
+            )
+            for k, width in (normals | uniforms).items()
         }
         self._jitter = RowDraws(rows, f"sensor:{name}:jitter", 1, "uniform", block)
         self._latency = RowDraws(rows, f"sensor:{name}:latency", 1, block=block)

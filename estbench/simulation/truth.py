@@ -40,6 +40,7 @@ class Simulator:
         instants: all instants of an episode, where it has an end.
         nthread: threads of the physics.
         look: whether every episode begins with a look at all channels (see `SensorSuite`).
+        timed: whether whoever follows the robots depends on the time.
 
     Attributes:
         x: true states `(row, nx)`; NaN from where MuJoCo failed until the row begins anew.
@@ -60,11 +61,11 @@ class Simulator:
         instants: Sequence[Instant] | None = None,
         nthread: int = 1,
         look: bool = False,
+        timed: bool = False,
     ):
         self._model, self._space, self._disturbance = model, space, disturbance
         self._mean, self._factor = initial
         self._backend, self._range = backend.create(model, nthread), ControlRange.of(model)
-        timed = disturbance.schedule is not None or any(c.schedule is not None for c in channels)
         self.clocks = Clocks(rows, schedule, timed)
         count = BLOCK if instants is None else len(instants)
         self._process = RowDraws(rows, "process", disturbance.rank, block=count)
