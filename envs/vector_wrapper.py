@@ -24,7 +24,7 @@ _log = logging.getLogger("estbench")
 
 
 class VectorEstimatedObservation(VectorWrapper):
-    """`EstimatedObservation` for `SyncVectorEnv`, `AsyncVectorEnv`: one batch of filters for all rows.
+    """`EstimatedObservation` for `SyncVectorEnv`, `AsyncVectorEnv`: one batch of filters.
 
     Row i with seed s sees what `EstimatedObservation` sees with seed s + i. The filters use the
     first environment's model. Rows whose episode ends start their filter anew, in every autoreset

@@ -156,7 +156,8 @@ class World:
 
         Args:
             u: controls, in the actuators' units; clamped to their range.
-            mask: rows that take part; None is all.
+            mask: rows that take part; None is all. The others stand still; time passes for them
+                too, so each must begin anew before it takes part again.
 
         Returns:
             Reward, terminated and truncated `(row,)`; 0 and False outside the mask.

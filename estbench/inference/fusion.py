@@ -215,6 +215,8 @@ class Fusion:
         if event.rows is None:
             return self._estimator.predict(belief, u[rows], start, dt)
         going = event.rows[rows]
+        if not going.any():
+            return belief
         few = some(belief, going)
         moved = self._estimator.predict(take(belief, few), u[within(rows, few)], start, dt)
         return select(going, moved, belief) if isinstance(few, slice) else put(belief, few, moved)

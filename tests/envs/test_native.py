@@ -89,7 +89,7 @@ def test_what_is_observed(observe, width):
     assert env.observation_space.shape == (width,)
     for observation, *_, info in rollout(env, steps=3):
         assert observation in env.observation_space
-        bank = env.unwrapped.world.observer.bank
+        bank = env.unwrapped.world.filter
         if observe == "truth":
             np.testing.assert_array_equal(observation, info["truth"])
         elif observe != "raw":
@@ -208,7 +208,7 @@ def test_a_users_own_robot(tmp_path):
 def test_a_truth_that_blows_up_ends_the_episode():
     env = make("Scenario", scenario="cartpole", normalize_actions=False).unwrapped
     env.reset(seed=0)
-    env.world.truth.x[:] = np.nan
+    env.world.simulator.x[:] = np.nan
     observation, reward, ended, _, info = env.step(np.zeros(1, np.float32))
     assert ended
     assert reward == 0.0

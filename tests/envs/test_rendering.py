@@ -169,7 +169,7 @@ def test_human_mode_shows_every_reset_and_step(viewers):
         np.testing.assert_allclose(mat.ravel(), data.geom_xmat[g], atol=1e-6)
     assert kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID
     np.testing.assert_allclose(centre, info["estimate"][:3], atol=1e-6)
-    cov = env.unwrapped.world.observer.bank.cov[0, :3, :3]
+    cov = env.unwrapped.world.filter.cov[0, :3, :3]
     np.testing.assert_allclose(frame @ np.diag(axes**2) @ frame.T, 9 * cov, rtol=1e-4, atol=1e-7)
 
     env.reset(seed=1)

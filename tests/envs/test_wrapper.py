@@ -259,7 +259,7 @@ def test_sensors_from_helpers_and_toml(tmp_path):
         | sensors.position_fix("torso", 0.1, rate=10) | sensors.attitude_fix("torso", 0.1)
     )  # fmt: skip
     env = wrapped("Ant", estimator="ekf", sensors=table)
-    assert [c.name for c in env._watch.observer.readings.channels] == list(table)
+    assert [c.name for c in env._watch.suite.channels] == list(table)
     dof = [o[-1]["nis_dof"] for o in steps(env, 4)]
     assert dof == [0, 13, 16, 13, 16]
     named = wrapped("Ant", estimator="ekf", sensors=table, observe="raw")

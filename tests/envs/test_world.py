@@ -1,15 +1,14 @@
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false
 # pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
-from estbench.envs.filter import FilterBank
-from estbench.envs.merge import select
-from estbench.envs.replay import Measurement
 from estbench.envs.world import World, prepare
 from estbench.errors import EstimatorError
+from estbench.inference.live import LiveFilter
+from estbench.sensors.clock import Event
+from estbench.sensors.sampling import Delivery
+from estbench.sensors.timing import Instant
 from estbench.spaces.manifold import Manifold
 from tests.helpers import ESTIMATORS
 
@@ -22,17 +21,18 @@ def world(name, rows, scenario="pendulum", **overrides):
     return World(prepare(scenario, table, None, sets), rows)
 
 
-def keys(*numbers):
-    return np.array(numbers, np.uint64)
+def begin(w, runs, rows=None):
+    """Episodes begin: in all rows, or in some, those are the runs."""
+    w.reset(np.arange(w.rows) if rows is None else np.array(rows), 0, list(runs))
 
 
 def drive(w, steps, start=0):
     out = []
     for k in range(start, start + steps):
-        u = np.full((w.rows, w.truth._model.nu), 0.3 * np.sin(0.2 * k))
+        u = np.full((w.rows, w.u.shape[1]), 0.3 * np.sin(0.2 * k))
         w.step(u)
-        bank = w.observer.bank
-        out.append([w.truth.x.copy(), bank.estimate.copy(), bank.cov.copy(), bank.nis.copy()])
+        f = w.filter
+        out.append([w.x.copy(), f.estimate.copy(), f.cov.copy(), f.nis.copy()])
     return out
 
 
@@ -43,10 +43,10 @@ def test_a_row_starts_anew_among_others_as_it_would_alone(name):
     except EstimatorError as error:
         pytest.skip(str(error))  # not for MuJoCo models
     for w in (mixed, company):
-        w.reset(np.ones(3, bool), keys(1, 2, 3))
+        begin(w, [1, 2, 3])
         drive(w, 5)
-    mixed.reset(np.array([False, True, False]), keys(9))
-    alone.reset(np.ones(1, bool), keys(9))
+    begin(mixed, [9], [1])
+    begin(alone, [9])
     a, b, c = drive(mixed, 6), drive(alone, 6), drive(company, 6)
     for here, single, rest in zip(a, b, c):
         np.testing.assert_array_equal(here[0][1], single[0][0])  # truth, to the last bit
@@ -60,37 +60,37 @@ def test_a_row_starts_anew_among_others_as_it_would_alone(name):
 def test_channels_of_different_rates_arrive_by_row(name):
     rates = {"channels__encoder__rate": 50.0, "channels__gyro__rate": 25.0}
     mixed, alone = world(name, 2, **rates), world(name, 1, **rates)
-    mixed.reset(np.ones(2, bool), keys(1, 2))
+    begin(mixed, [1, 2])
     drive(mixed, 3)
-    mixed.reset(np.array([True, False]), keys(9))  # the rows are out of phase now
-    alone.reset(np.ones(1, bool), keys(9))
+    begin(mixed, [9], [0])  # the rows are out of phase now
+    begin(alone, [9])
     dofs = []
     for k in range(8):
         a, b = drive(mixed, 1, k)[0], drive(alone, 1, k)[0]
         np.testing.assert_array_equal(a[0][0], b[0][0])
         for x, y in zip(a[1:], b[1:]):
             np.testing.assert_allclose(x[0], y[0], atol=1e-12)
-        dofs.append(mixed.observer.bank.dof.tolist())
+        dofs.append(mixed.filter.dof.tolist())
     assert dofs == [[0, 4], [1, 0], [0, 1], [4, 0], [0, 4], [1, 0], [0, 1], [4, 0]]
 
 
 def test_rates_above_the_control_rate_are_all_used():
     w = world("ekf", 1, model__frame_skip=4, channels__encoder__rate=50.0, channels__gyro__rate=100)
-    w.reset(np.ones(1, bool), keys(1))
+    begin(w, [1])
     w.step(np.zeros((1, 1)))
-    assert w.observer.bank.dof.tolist() == [2 * 1 + 4 * 3]
-    assert w.truth.tick.tolist() == [4]
+    assert w.filter.dof.tolist() == [2 * 1 + 4 * 3]
+    assert w.simulator.clocks.elapsed.tolist() == [4]
 
 
 @pytest.mark.parametrize("scenario", ["pendulum", "quadrotor"])
 def test_the_filter_is_consistent(scenario):
     w = world("ekf", 150, scenario)
-    w.reset(np.ones(150, bool), np.arange(150, dtype=np.uint64))
+    begin(w, range(150))
     u = np.repeat(w.setup.plant.u0[None], 150, axis=0)
     nees = []
     for _ in range(30):
         w.step(u)
-        info = w.observer.info(w.truth.x)
+        info = w.info()
         nees.append(info["nees"])
         assert info["error"].shape == (150, w.setup.space.n)
     mean = np.mean(nees, axis=0) / w.setup.space.n
@@ -100,16 +100,17 @@ def test_the_filter_is_consistent(scenario):
 
 def test_rows_outside_a_mask_stand_still():
     w = world("ukf", 2)
-    w.reset(np.ones(2, bool), keys(1, 2))
+    begin(w, [1, 2])
     drive(w, 2)
-    x, estimate = w.truth.x.copy(), w.observer.bank.estimate.copy()
+    x, estimate = w.x.copy(), w.filter.estimate.copy()
     reward, *_ = w.step(np.zeros((2, 1)), np.array([False, True]))
-    np.testing.assert_array_equal(w.truth.x[0], x[0])
-    np.testing.assert_array_equal(w.observer.bank.estimate[0], estimate[0])
-    assert (w.truth.x[1] != x[1]).all()
+    np.testing.assert_array_equal(w.x[0], x[0])
+    np.testing.assert_array_equal(w.filter.estimate[0], estimate[0])
+    assert (w.x[1] != x[1]).all()
     assert reward[0] == 0
     assert reward[1] != 0
-    assert w.elapsed.tolist() == [2, 3]
+    begin(w, [1], [0])  # as it must before it takes part again
+    assert w.elapsed.tolist() == [0, 3]
 
 
 LATE = {"channels__encoder__rate": 12.5}  # every 8 steps; the gyro every step
@@ -122,14 +123,14 @@ def test_late_readings_are_fused_exactly_once_they_are_there(name, std):
     on_time, delayed = world(name, 3, **LATE), world(name, 3, **LATE, **late)
     apart = []
     for w in (on_time, delayed):
-        w.reset(np.ones(3, bool), keys(1, 2, 3))
+        begin(w, [1, 2, 3])
     for k in range(40):
         a, b = drive(on_time, 1, k)[0], drive(delayed, 1, k)[0]
         np.testing.assert_array_equal(a[0], b[0])
         apart.append(np.abs(a[1] - b[1]).max())
         if k == 23:  # one row starts anew while a reading is on its way
             for w in (on_time, delayed):
-                w.reset(np.array([False, True, False]), keys(9))
+                begin(w, [9], [1])
     due = np.arange(7, 40, 8)
     assert (np.array(apart)[due] > 1e-7).all()  # not there yet
     caught_up = [k for k in range(40) if k % 8 == 6]
@@ -141,9 +142,9 @@ def test_naive_handling_of_late_readings_is_overconfident():
     mean = {}
     for handling in ("exact", "naive"):
         w = world("ekf", 60, **late, filter__delays=f"'{handling}'")
-        w.reset(np.ones(60, bool), np.arange(60, dtype=np.uint64))
+        begin(w, range(60))
         drive(w, 60)
-        nees = [w.observer.info(w.truth.x)["nees"] for _ in drive(w, 20, 60)]
+        nees = [w.info()["nees"] for _ in drive(w, 20, 60)]
         mean[handling] = np.mean(nees) / 2
     assert 0.8 < mean["exact"] < 1.25
     assert mean["naive"] > 3
@@ -175,51 +176,37 @@ class Breaks:
 
 
 def test_a_failed_row_keeps_its_last_estimate_says_so_and_can_start_anew():
-    space = Manifold.euclidean(2)
-    bank = FilterBank(Breaks(space), space, {"y": slice(0, 1)}, 2)
+    space, every = Manifold.euclidean(2), np.arange(2)
+    live = LiveFilter(Breaks(space), space, {"y": Manifold.euclidean(1)}, 2)
     mean, cov, u = np.zeros((2, 2)), np.repeat(np.eye(2)[None], 2, axis=0), np.zeros((2, 0))
-    bank.reset(np.ones(2, bool), mean, cov)
+    event = Event(1, Instant(0.0, 0.1, 1, (), True, 1))
+    live.start(every, mean, cov)
+
+    def step(*arrived):
+        live.begin()
+        live.step(event, u, arrived)
+        live.settle()
+
     for _ in range(4):
-        bank.begin()
-        bank.predict(u, 0.0, 0.1)
-        bank.settle()
-    info = bank.info(np.zeros((2, 2)))
+        step()
+    info = live.info(np.zeros((2, 2)))
     assert info["diverged"].tolist() == [False, True]
     np.testing.assert_array_equal(info["estimate"], [[4, 4], [2, 2]])
     assert info["nees"].tolist() == [32.0, np.inf]
     assert info["nis"].tolist() == [0, 0]
-    bank.reset(np.array([False, True]), mean, cov)
-    bank.predict(u, 0.0, 0.1)
-    bank.settle()
-    np.testing.assert_array_equal(bank.estimate, [[5, 5], [1, 1]])
-    assert not bank.failed.any()
-    with pytest.raises(EstimatorError, match=r"Breaks.update raised KeyError"):
-        bank.fuse([Measurement(np.zeros((2, 1)), ("y",))], u, 0.0)
+    live.start(every[1:], mean, cov)
+    step()
+    np.testing.assert_array_equal(live.estimate, [[5, 5], [1, 1]])
+    assert not live.failed.any()
+    with pytest.raises(EstimatorError, match=r"Breaks raised KeyError: 'no update' \(.*in update"):
+        step(Delivery("y", 1, np.zeros((2, 1)), None, 1))
 
 
 def test_infos_are_copies():
     w = world("ekf", 2)
-    w.reset(np.ones(2, bool), keys(1, 2))
-    before = w.observer.info(w.truth.x)
+    begin(w, [1, 2])
+    before = w.info()
     kept = {k: v.copy() for k, v in before.items()}
     drive(w, 3)
     for k, v in before.items():
         np.testing.assert_array_equal(v, kept[k])
-
-
-@dataclass(frozen=True)
-class Odd:
-    a: np.ndarray
-    step: int
-
-
-def test_select_refuses_what_rows_share():
-    mask = np.array([True, False])
-    new, old = Odd(np.ones((2, 3)), 0), Odd(np.zeros((2, 3)), 0)
-    np.testing.assert_array_equal(select(mask, new, old).a, [[1, 1, 1], [0, 0, 0]])
-    with pytest.raises(
-        EstimatorError, match=r"belief.step \(int\) is not kept row by row.*dataclass"
-    ):
-        select(mask, Odd(new.a, 1), old)
-    assert select(mask, (None, new.a), (old.a, old.a))[0] is None
-    assert set(select(mask, {"a": new.a}, {"a": old.a, "b": old.a})) == {"a"}
