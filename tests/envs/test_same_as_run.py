@@ -5,6 +5,7 @@ To the last bit, for every bundled scenario and every example, scalar and vector
 
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from estbench.experiment import setup
 from estbench.inference.event_loop import run_filter
 from estbench.montecarlo import run as montecarlo
 from estbench.randomness import streams
+from estbench.robots.controls import ControlRange
 from estbench.simulation.sources import Live, Recorded, Trajectory, record
 
 ROOT = Path(__file__).parents[2]
@@ -122,3 +124,69 @@ def test_the_rows_of_a_world_are_the_runs_of_a_batch(case, rows, monkeypatch):
                 came = np.ones(rows, bool) if b.mask is None else b.mask
                 np.testing.assert_array_equal(came, True if a.mask is None else a.mask)
                 np.testing.assert_array_equal(a.y[came], b.y[came])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_environment_is_the_run_of_its_seed(case, monkeypatch):
+    """Row i of a vector with seed s, and the scalar environment with seed s + i: run 0 of s + i."""
+    monkeypatch.chdir(ROOT)
+    path, overrides = CASES[case]
+    seeds, prepared = (3, 4), setup.build(resolved(case))
+    label = next(k for k, v in prepared.scenario.estimators.items() if v.get("type", k) != "rts")
+    kwargs = {
+        "scenario": path, "estimator": label, "overrides": overrides, "normalize_actions": False,
+    }  # fmt: skip
+    vector = gym.make_vec("estbench/Scenario-v0", 2, autoreset_mode="Disabled", **kwargs)
+    scalars = [gym.make("estbench/Scenario-v0", **kwargs) for _ in seeds]
+    runs = []
+    for seed in seeds:
+        simulation = prepared.scenario.simulation.model_copy(update={"seed": seed})
+        scenario = prepared.scenario.model_copy(
+            update={
+                "simulation": simulation,
+                "estimators": {label: prepared.scenario.estimators[label]},
+            }
+        )
+        runs += simulated(setup.build(scenario), [0])
+    _, info = vector.reset(seed=seeds[0])
+    for row, (env, (_, trajectory, _)) in enumerate(zip(scalars, runs)):
+        _, own = env.reset(seed=seeds[row])
+        np.testing.assert_array_equal(own["truth"], trajectory.x[0, 0])
+        np.testing.assert_array_equal(info["truth"][row], trajectory.x[0, 0])
+    limits = ControlRange.of(prepared.plant.model)
+    ends = [k + 1 for k, i in enumerate(prepared.instants) if i.tick % prepared.plant.nstep == 0]
+    for first, last in zip([0, *ends[:-1]], ends[:12]):
+        u = limits.clamp(np.array([trajectory.u[first, 0] for _, trajectory, _ in runs]))
+        *_, over, _, info = vector.step(u)
+        for row, (env, (_, trajectory, traces)) in enumerate(zip(scalars, runs)):
+            *_, own = env.step(u[row])
+            for found in (own, {key: value[row] for key, value in info.items()}):
+                np.testing.assert_array_equal(found["truth"], trajectory.x[last, 0])
+                np.testing.assert_array_equal(found["estimate"], traces.mean[last, 0])
+                np.testing.assert_array_equal(found["error"], traces.error[last, 0])
+        if over.any():
+            break
+
+
+@pytest.mark.parametrize("believed", [0.02, 0.0])
+def test_an_environment_heeds_the_latency_that_the_filter_believes(believed):
+    """The estimates differ from those of a filter that knows the latency, as in a run."""
+    late = ["channels.encoder.latency=0.05"]
+    belief = [f"filter.channels.encoder.latency={believed}"]
+    estimates = []
+    for overrides in (late, late + belief):
+        env = gym.make("estbench/Pendulum-v0", overrides=overrides)
+        env.reset(seed=0)
+        estimates.append([env.step(np.ones(1, np.float32))[-1]["estimate"] for _ in range(20)])
+    assert np.abs(np.subtract(*estimates)).max() > 1e-3
+
+
+def test_an_environment_heeds_the_window():
+    """A reading that is older than the window is not fused."""
+    late = ["channels.encoder.latency=0.03", "channels.encoder.latency_std=0.02"]
+    dofs = []
+    for overrides in (late, [*late, "filter.window=0.03"]):
+        env = gym.make("estbench/Pendulum-v0", overrides=overrides)
+        env.reset(seed=0)
+        dofs.append(sum(env.step(np.ones(1, np.float32))[-1]["nis_dof"] for _ in range(60)))
+    assert dofs[1] < dofs[0] - 5
