@@ -1,6 +1,5 @@
 """The commands `report`, `plot`, `video` and `view`; what they need is imported when they run."""
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,13 +7,11 @@ from typing import Annotated
 
 import typer
 
+from estbench.commands.shared import Overrides, say
+
 Folders = Annotated[list[Path], typer.Argument(help="results folders of one robot")]
 Estimators = Annotated[
     list[str] | None, typer.Option("--estimator", "-e", help="label; repeatable; default all")
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override the scenario; repeatable"),
 ]
 
 
@@ -39,7 +36,7 @@ def report(
     """Write one HTML file with everything there is to see; it opens offline."""
     from estbench.report.html import write_report
 
-    path = write_report(folders, out, estimator or (), video, _say)
+    path = write_report(folders, out, estimator or (), video, say)
     print(f"written to {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
@@ -98,7 +95,7 @@ def video(
     shown = replay.replay(source, run, estimator, overrides or ())
     count = film.write(shown, out, look, at, _progress())
     if not shown.correlated:
-        print("estbench: the ellipsoid is from variances alone (--keep full)", file=sys.stderr)
+        say("estbench: the ellipsoid is from variances alone (--keep full)")
     print(f"written to {out} ({count} frame{'s' if count > 1 else ''})")
 
 
@@ -122,18 +119,14 @@ def view(
     watch(scenario, estimator, run, port=port, window=window, overrides=overrides or ())
 
 
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
 def _progress() -> Callable[[int, int], None]:
-    """A line on stderr every five seconds."""
+    """A function that prints the finished and all frames every five seconds, on standard error."""
     last = time.monotonic()
 
-    def say(done: int, total: int) -> None:
+    def line(done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last > 5:
             last = time.monotonic()
-            _say(f"{done}/{total} frames")
+            say(f"{done}/{total} frames")
 
-    return say
+    return line
