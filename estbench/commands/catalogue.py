@@ -15,7 +15,7 @@ from estbench.simulation import controllers
 
 
 def catalogue() -> dict[str, dict[str, str]]:
-    """Scenarios, estimators, controllers and sensor types, each with one line about it."""
+    """Kind -> name -> one line: scenarios, estimators, controllers and sensor types."""
     return {
         "scenarios": {
             name: scenario.load(path).description for name, path in scenario.bundled().items()
@@ -29,10 +29,11 @@ def catalogue() -> dict[str, dict[str, str]]:
 
 
 def _first_line(target: str) -> str:
+    """First line of the docstring of `module:Class`."""
     module, _, name = target.partition(":")
     try:
         doc = getattr(importlib.import_module(module), name).__doc__ or ""
-    except Exception as error:  # a broken plug-in must not break the list
+    except Exception as error:  # a plug-in that fails must not stop the list
         return f"cannot be imported: {user_error_location(error)}"
     return doc.strip().splitlines()[0] if doc.strip() else ""
 

@@ -1,4 +1,4 @@
-"""The command line: the application, its commands, and how errors end it.
+"""The command line: the application, its commands, and the exit codes of errors.
 
 Each command imports what it needs when it runs: `--help` answers at once.
 """

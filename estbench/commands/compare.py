@@ -24,7 +24,7 @@ def compare(
         float, typer.Option(help="relative difference that is too small to matter")
     ] = 0.01,
     precision: Annotated[
-        float, typer.Option(help="half-width wanted, for the runs that it takes")
+        float, typer.Option(help="half-width wanted; the runs needed for it are shown")
     ] = 0.02,
 ) -> None:
     """Compare estimators run by run: accuracy, ranking with ties, coverage, credibility."""

@@ -20,10 +20,10 @@ STAGES = ("none", "position", "velocity", "acceleration")
 
 
 def mistakes(resolved: Scenario) -> list[str]:
-    """What is wrong with a scenario that validates: a message for each of its independent parts.
+    """The mistakes of a scenario that validates, one message each.
 
-    The bare robot is given one part after the other. One with which it cannot be built is a mistake
-    and is left out of what follows, so that it hides no other.
+    The independent sections are added to a scenario of the robot alone, one after the other. A
+    section with which it cannot be built is a mistake, and is left out so that it hides no other.
     """
     fields, kept = Scenario.model_fields, ("name", "model", "simulation")
     defaults = {n: f.get_default(call_default_factory=True) for n, f in fields.items()}
@@ -40,11 +40,11 @@ def mistakes(resolved: Scenario) -> list[str]:
             found.append(str(error))
 
     belief, truth = resolved.filter, resolved.truth
-    seen = FilterSection(channels=belief.channels)  # what is believed of them belongs to them
-    add(sensors=resolved.sensors, channels=resolved.channels, filter=seen)
+    sensed = FilterSection(channels=belief.channels)  # they refer to the channels
+    add(sensors=resolved.sensors, channels=resolved.channels, filter=sensed)
     if found:
         add()
-        # The bare robot cannot be built either: it may have no sensor of its own.
+        # If the robot alone cannot be built either, it may have no sensor in its MJCF.
         if len(found) > 1:
             return found[:1]
     add(filter=belief.model_copy(update={"channels": good.filter.channels}))
@@ -52,17 +52,19 @@ def mistakes(resolved: Scenario) -> list[str]:
     add(truth=truth.model_copy(update={"set": good.truth.set}))
     for label, settings in resolved.estimators.items():
         add(estimators={**good.estimators, label: settings})
-    add(start=resolved.start, estimators=good.estimators or {"ekf": {}})  # somebody must start
+    add(
+        start=resolved.start, estimators=good.estimators or {"ekf": {}}
+    )  # a start needs an estimator
     for name in ("initial", "process_noise", "control", "consistency"):
         add(**{name: getattr(resolved, name)})
     return list(dict.fromkeys(found))
 
 
 def render(resolved: Scenario) -> Group:
-    """States, sensors and warnings of a scenario for a rich console.
+    """The states, sensors and warnings of a scenario, for a rich console.
 
     Raises:
-        ScenarioError: the scenario cannot be built; every mistake that can be found is named.
+        ScenarioError: the scenario cannot be built; all mistakes are listed.
     """
     try:
         prepared = setup.build(resolved)
@@ -107,7 +109,7 @@ def render(resolved: Scenario) -> Group:
 
 
 def _density(prepared: setup.Setup) -> list[str]:
-    """Spectral density beside the coordinate it enters, as text."""
+    """Spectral density of the process noise as text, one per coordinate that it enters."""
     space, noise, nv = prepared.space, prepared.disturbance, prepared.plant.model.nv
     out = [""] * space.n
     diagonal = np.diag(noise.density)
@@ -121,6 +123,7 @@ def _density(prepared: setup.Setup) -> list[str]:
 
 
 def _warnings(prepared: setup.Setup) -> list[str]:
+    """MJCF settings that have no effect, and states that no sensor observes."""
     section = prepared.scenario.model
     spec = mjcf.read(section.path)
     warnings = []

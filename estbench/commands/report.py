@@ -30,10 +30,10 @@ def report(
     ] = None,
     estimator: Estimators = None,
     video: Annotated[
-        bool, typer.Option(help="embed the best and the worst run where they can be drawn")
+        bool, typer.Option(help="embed the best and the worst run, if this machine can draw")
     ] = True,
 ) -> None:
-    """Write one HTML file with everything there is to see; it opens offline."""
+    """Write one HTML file with all tables and figures; it opens offline."""
     from estbench.report.html import write_report
 
     path = write_report(folders, out, estimator or (), video, say)
@@ -81,12 +81,12 @@ def video(
     at: Annotated[float | None, typer.Option(help="s; one frame as .png")] = None,
     width: Annotated[int, typer.Option(help="pixels")] = 640,
     height: Annotated[int, typer.Option(help="pixels of the robot's picture")] = 480,
-    fps: Annotated[float, typer.Option(help="frames a second")] = 25.0,
+    fps: Annotated[float, typer.Option(help="frames per second")] = 25.0,
     speed: Annotated[float, typer.Option(help="2 plays twice as fast")] = 1.0,
     camera: Annotated[str | None, typer.Option(help="a camera of the model")] = None,
     overrides: Overrides = None,
 ) -> None:
-    """Film a run: the truth, the estimate as a ghost, its covariance, and NEES under them."""
+    """Film one run: the truth, the estimate as a ghost, its covariance, and a chart of NEES."""
     from estbench.report.rendering import replay
     from estbench.report.rendering import video as film
 

@@ -22,7 +22,7 @@ Estimators = Annotated[
     typer.Option("--estimator", "-e", help="name, label or package.module:Name; repeatable"),
 ]
 Seed = Annotated[int | None, typer.Option(help="seed of all random numbers")]
-Duration = Annotated[float | None, typer.Option(help="length of a run, s")]
+Duration = Annotated[float | None, typer.Option(help="length of each run, s")]
 Json = Annotated[bool, typer.Option("--json", help="print JSON in place of tables")]
 
 
