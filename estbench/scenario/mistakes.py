@@ -14,20 +14,20 @@ _BRANCH = re.compile(r"(float|str|int|list|dict|tuple|function-after|constrained
 
 def explain(error: ValidationError, root: type[Section]) -> list[str]:
     """The mistakes in a section of class `root`, each as `path: message`."""
-    return [_explain(e, root) for e in _meant(error)]
+    return [_explain(e, root) for e in _relevant(error)]
 
 
-def _meant(error: ValidationError) -> list[Any]:
+def _relevant(error: ValidationError) -> list[Any]:
     """The errors of a validation, without union branch names and errors of other branches."""
     found = []
     for e in error.errors():
         own = tuple(p for p in e["loc"] if isinstance(p, int) or not _BRANCH.fullmatch(p))
         found.append({**e, "loc": own, "other": e["type"] in _OTHER})
     # A wrong number also fails as a list, the other branch: only the first error is reported.
-    meant = [e["loc"] for e in found if not e["other"]]
+    relevant = [e["loc"] for e in found if not e["other"]]
     kept: dict[tuple[Any, ...], Any] = {}
     for e in found:
-        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in meant):
+        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in relevant):
             kept.setdefault(e["loc"], e)
     return list(kept.values())
 

@@ -124,7 +124,7 @@ def build(
         CovarianceError, DimensionError: R is not positive definite or has the wrong size.
     """
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
-    channels, notices = [], _idle(sections, use)
+    channels, notices = [], _unused(sections, use)
     for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
         measurand, kind = measurands.build(name, section, model, names)
@@ -196,13 +196,13 @@ def _check_names(where: str, wanted: Iterable[str], known: Sequence[str]) -> Non
         raise ScenarioError(f"{where}: {'; '.join(unknown)}{none}")
 
 
-def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:
+def _unused(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:
     """One notice per channel that the scenario defines and does not use."""
-    idle = [
+    unused = [
         name for name, s in sections.items()
         if use is not None and name not in use and (s.of or s.function or s.add)
     ]  # fmt: skip
-    return [f"not in use, as `sensors` does not name it: {name}" for name in idle]
+    return [f"not in use, as `sensors` does not name it: {name}" for name in unused]
 
 
 def mjcf_cutoff(model: mujoco.MjModel) -> Array:
