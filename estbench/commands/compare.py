@@ -1,12 +1,12 @@
 """The commands `compare` and `reproduce`; what they need is imported when they run."""
 
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+
+from estbench.commands.shared import console, say
 
 
 def register(app: typer.Typer) -> None:
@@ -24,7 +24,7 @@ def compare(
         float, typer.Option(help="relative difference that is too small to matter")
     ] = 0.01,
     precision: Annotated[
-        float, typer.Option(help="half-width wanted, for the runs that it takes")
+        float, typer.Option(help="half-width wanted; the runs needed for it are shown")
     ] = 0.02,
 ) -> None:
     """Compare estimators run by run: accuracy, ranking with ties, coverage, credibility."""
@@ -32,9 +32,8 @@ def compare(
     from estbench.analysis.compare import compare_stores
 
     formats.check(format_)
-    console = Console()
-    width = console.width if console.is_terminal else 100
-    print(formats.render(compare_stores(folders, margin, precision), format_, width).rstrip("\n"))
+    compared = compare_stores(folders, margin, precision)
+    print(formats.render(compared, format_, console().width).rstrip("\n"))
 
 
 def reproduce(
@@ -49,7 +48,6 @@ def reproduce(
 
     began = time.monotonic()
     files = leaderboard.reproduce(
-        out, leaderboard.RUNS if runs is None else runs, robot or (),
-        say=lambda line: print(line, file=sys.stderr, flush=True),
-    )  # fmt: skip
+        out, leaderboard.RUNS if runs is None else runs, robot or (), say=say
+    )
     print(f"written to {' and '.join(map(str, files))} in {time.monotonic() - began:.0f} s")

@@ -1,6 +1,5 @@
 """The commands `report`, `plot`, `video` and `view`; what they need is imported when they run."""
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,13 +7,11 @@ from typing import Annotated
 
 import typer
 
+from estbench.commands.shared import Overrides, say
+
 Folders = Annotated[list[Path], typer.Argument(help="results folders of one robot")]
 Estimators = Annotated[
     list[str] | None, typer.Option("--estimator", "-e", help="label; repeatable; default all")
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override the scenario; repeatable"),
 ]
 
 
@@ -33,13 +30,13 @@ def report(
     ] = None,
     estimator: Estimators = None,
     video: Annotated[
-        bool, typer.Option(help="embed the best and the worst run where they can be drawn")
+        bool, typer.Option(help="embed the best and the worst run, if this machine can draw")
     ] = True,
 ) -> None:
-    """Write one HTML file with everything there is to see; it opens offline."""
+    """Write one HTML file with all tables and figures; it opens offline."""
     from estbench.report.html import write_report
 
-    path = write_report(folders, out, estimator or (), video, _say)
+    path = write_report(folders, out, estimator or (), video, say)
     print(f"written to {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
@@ -84,12 +81,12 @@ def video(
     at: Annotated[float | None, typer.Option(help="s; one frame as .png")] = None,
     width: Annotated[int, typer.Option(help="pixels")] = 640,
     height: Annotated[int, typer.Option(help="pixels of the robot's picture")] = 480,
-    fps: Annotated[float, typer.Option(help="frames a second")] = 25.0,
+    fps: Annotated[float, typer.Option(help="frames per second")] = 25.0,
     speed: Annotated[float, typer.Option(help="2 plays twice as fast")] = 1.0,
     camera: Annotated[str | None, typer.Option(help="a camera of the model")] = None,
     overrides: Overrides = None,
 ) -> None:
-    """Film a run: the truth, the estimate as a ghost, its covariance, and NEES under them."""
+    """Film one run: the truth, the estimate as a ghost, its covariance, and a chart of NEES."""
     from estbench.report.rendering import replay
     from estbench.report.rendering import video as film
 
@@ -98,7 +95,7 @@ def video(
     shown = replay.replay(source, run, estimator, overrides or ())
     count = film.write(shown, out, look, at, _progress())
     if not shown.correlated:
-        print("estbench: the ellipsoid is from variances alone (--keep full)", file=sys.stderr)
+        say("estbench: the ellipsoid is from variances alone (--keep full)")
     print(f"written to {out} ({count} frame{'s' if count > 1 else ''})")
 
 
@@ -122,18 +119,14 @@ def view(
     watch(scenario, estimator, run, port=port, window=window, overrides=overrides or ())
 
 
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
 def _progress() -> Callable[[int, int], None]:
-    """A line on stderr every five seconds."""
+    """A function that prints the finished and all frames every five seconds, on standard error."""
     last = time.monotonic()
 
-    def say(done: int, total: int) -> None:
+    def line(done: int, total: int) -> None:
         nonlocal last
         if time.monotonic() - last > 5:
             last = time.monotonic()
-            _say(f"{done}/{total} frames")
+            say(f"{done}/{total} frames")
 
-    return say
+    return line

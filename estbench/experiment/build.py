@@ -1,4 +1,4 @@
-"""What the sections of a scenario stand for on its robot: noise, start, channels, defaults."""
+"""From the sections of a scenario to objects: robots, noise, initial belief, channels, notices."""
 
 from collections.abc import Sequence
 
@@ -29,11 +29,11 @@ DEFAULT_DENSITY = 0.01
 
 
 def robots(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel, mujoco.MjModel]:
-    """The robot's description, the true robot, and the one that the filter believes in.
+    """The robot's MJCF specification, the true model, and the filter's model.
 
     Raises:
-        ScenarioError: a robot cannot be compiled, or has no state.
-        DimensionError: the two have different states or controls.
+        ScenarioError: a model cannot be compiled, or has no state.
+        DimensionError: the two models have different states or controls.
     """
     section, belief = scenario.model, scenario.filter
     added = {name: c.add for name, c in scenario.channels.items() if c.add is not None}
@@ -76,12 +76,23 @@ def disturbance(
     duration: float,
     notices: list[str],
 ) -> Disturbance:
-    """The true process noise."""
+    """The true process noise.
+
+    Args:
+        section: the scenario's `[process_noise]`.
+        model: the true model.
+        space: the state space.
+        duration: length of each run, s.
+        notices: assumptions are appended here.
+
+    Raises:
+        ScenarioError, CovarianceError, DimensionError: the section does not fit the model.
+    """
     density, assumed = section.density, ""
     if density is None:
         density = DEFAULT_DENSITY
         if section.kind == "additive":
-            # Noise on the velocities alone: positions then move as their derivatives say.
+            # On the velocities only, so that positions stay the integrals of velocities.
             values = np.zeros(space.n)
             values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
             density = values.tolist()
@@ -102,7 +113,7 @@ def disturbance(
 
 
 def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:
-    """Say which defaults stand in for sections that the scenario leaves out."""
+    """Append a notice for each section that the scenario leaves out, with its default."""
     given = scenario.model_fields_set
     if scenario.model.keyframe is None:
         first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
@@ -122,21 +133,26 @@ def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str])
 def initial(
     section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Array
 ) -> tuple[Array, Array]:
-    """x̂₀ and P₀."""
+    """x̂₀ `(nx,)` and P₀ `(n, n)`.
+
+    Raises:
+        CovarianceError: P₀ is not positive definite.
+        DimensionError: the count of values or the shape of P₀ is wrong.
+    """
     mean = x0.copy()
-    parts = {
+    blocks = {
         "qpos": slice(0, model.nq),
         "qvel": slice(model.nq, model.nq + model.nv),
         "act": slice(model.nq + model.nv, None),
     }
-    for name, part in parts.items():
+    for name, block in blocks.items():
         given = getattr(section, name)
         if given is not None:
-            if len(given) != len(mean[part]):
+            if len(given) != len(mean[block]):
                 raise DimensionError(
-                    f"initial.{name} has {len(given)} values; expected {len(mean[part])}"
+                    f"initial.{name} has {len(given)} values; expected {len(mean[block])}"
                 )
-            mean[part] = given
+            mean[block] = given
     mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
     if section.cov is None:
         std = expand(section.std, space.names, "initial.std")
@@ -153,7 +169,17 @@ def initial(
 def believed_channels(
     model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection, duration: float
 ) -> tuple[SensorChannel, ...]:
-    """The channels as the filter believes them, their sensors found by name in its model."""
+    """The channels as the filter believes them; their sensors are found by name in its model.
+
+    Args:
+        model: the filter's model.
+        channels: the true channels.
+        section: the scenario's `[filter]`.
+        duration: length of each run, s.
+
+    Raises:
+        ScenarioError: an unknown channel, or a sensor that the filter's model lacks.
+    """
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
     known = [c.name for c in channels]
     for name in section.channels:
@@ -179,7 +205,11 @@ def believed_channels(
 def _believed_noise(
     channel: Channel, belief: BelievedChannelSection, scale: float, duration: float
 ) -> tuple[Array, Scale | None]:
-    """R `(m, m)` of a channel as the filter believes it, and what becomes of it over time."""
+    """R `(m, m)` of a channel as the filter believes it, and its scale over time or None.
+
+    Raises:
+        ScenarioError: a constant R and a schedule of full covariances are both given.
+    """
     where = f"filter.channels.{channel.name}"
     own = schedules.build(belief.schedule, channel.space.n, duration, f"{where}.schedule")
     if own is None and belief.follow_schedule:
@@ -195,7 +225,7 @@ def _believed_noise(
 
 
 def mjcf_timings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MjcfTiming]:
-    """Sensor -> its rhythm by the MJCF, for the sensors that have a history."""
+    """Sensor -> timing that the MJCF gives, for the sensors with a history."""
     return {
         layout.sensor_name(model, i): MjcfTiming(
             float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
@@ -207,7 +237,7 @@ def mjcf_timings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MjcfTi
 
 
 def silent(channels: Sequence[Channel], last: Instant) -> list[str]:
-    """A notice of each channel of which nothing can arrive before the run ends."""
+    """One notice per channel of which no reading can arrive before the end of the run."""
     notices = []
     for channel in channels:
         due = channel.timing.due(last.tick)

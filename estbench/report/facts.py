@@ -1,4 +1,4 @@
-"""What the page says in words and tables: verdicts, the scenario, the failures."""
+"""Text and tables of the report: verdicts, the scenario, the diverged runs."""
 
 import math
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class Facts:
         title: of the source.
         description: one line.
         rows: pairs of name and value.
-        headings: of `sensors`.
+        headings: headings of `sensors`.
         sensors: one row per channel; empty without the robot.
         noise: rows of coordinate, initial σ, process noise.
         differences: how the filter's model differs from the truth, one line each.

@@ -1,4 +1,4 @@
-"""Reading a scenario: a bundled name, a TOML file, a results folder or a bare MJCF."""
+"""Reading a scenario: a bundled name, a TOML file, a results folder or an MJCF file."""
 
 import tomllib
 from collections.abc import Sequence
@@ -29,14 +29,14 @@ def bundled() -> dict[str, Path]:
 
 
 def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario: a bundled name, a TOML file, a results folder, or a bare MJCF.
+    """Read a scenario: a bundled name, a TOML file, a results folder, or an MJCF file.
 
     Args:
         source: name or path.
         overrides: `section.key=value` strings, values in TOML syntax (bare words are strings).
 
     Raises:
-        ScenarioError: there is no such scenario, or it does not validate; every mistake is named.
+        ScenarioError: there is no such scenario, or it does not validate; all mistakes are listed.
     """
     path = _find(source)
     if path.suffix.lower() == ".xml":
@@ -79,17 +79,17 @@ def resolve(
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
-        estimators: labels, names or classes to run in place of the scenario's; the label of a
-            class is its own name, and the table of that label holds its settings.
-        runs: Monte Carlo runs, in place of the scenario's.
-        seed: in place of the scenario's.
-        duration: s, in place of the scenario's.
+        estimators: labels, names or classes that replace the scenario's; the label of a class is
+            its name, and the scenario's table of that label holds its settings.
+        runs: count of Monte Carlo runs; default the scenario's.
+        seed: default the scenario's.
+        duration: length of each run, s; default the scenario's.
         overrides: `section.key=value` strings.
 
     Raises:
-        ScenarioError: there is no such scenario, it does not validate, or an override is of an
+        ScenarioError: there is no such scenario, it does not validate, or an override names an
             estimator that is not run.
-        EstimatorError: an estimator is not known, named twice, or its label is another's.
+        EstimatorError: an estimator is unknown or named twice, or its label is taken.
     """
     simulation = {"runs": runs, "seed": seed, "duration": duration}
     options = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None]
@@ -115,7 +115,7 @@ def resolve(
 
 
 def _check_options(options: Sequence[str]) -> None:
-    """Refuse a bad --runs, --seed or --duration by its own name: the file is not to blame."""
+    """Refuse an invalid --runs, --seed or --duration with a message that names the option."""
     given: dict[str, Any] = {}
     for text in options:
         _apply(given, text)
@@ -128,7 +128,7 @@ def _check_options(options: Sequence[str]) -> None:
 
 
 def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Label -> settings of the estimators to run, with the tables that the scenario has of them."""
+    """Label -> settings of the estimators to run, from the scenario's tables where they exist."""
     several = [estimators] if isinstance(estimators, str | type) else estimators
     chosen: dict[str, dict[str, Any]] = {}
     for name in map(registry.name_of, several):
@@ -153,10 +153,10 @@ def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, d
 
 
 def start(scenario: Scenario, label: str) -> StartSection:
-    """How the estimator of a label starts: the scenario's [start], changed by its own table.
+    """How an estimator starts: the scenario's `[start]`, overridden by the estimator's table.
 
     Raises:
-        ScenarioError: its `start` is not a table, or does not validate.
+        ScenarioError: the estimator's `start` is not a table, or does not validate.
     """
     own = scenario.estimators[label].get("start", {})
     if not isinstance(own, dict):
@@ -173,7 +173,7 @@ def start(scenario: Scenario, label: str) -> StartSection:
 
 
 def changes(before: Any, now: Any, key: str = "") -> list[tuple[str, Any, Any]]:
-    """Where two nested tables differ: dotted key, and the value before and now (None without)."""
+    """Differences of two nested tables: dotted key, value before and value now (None if absent)."""
     if not isinstance(before, dict) or not isinstance(now, dict):
         return [] if before == now else [(key, before, now)]
     return [
@@ -184,7 +184,7 @@ def changes(before: Any, now: Any, key: str = "") -> list[tuple[str, Any, Any]]:
 
 
 def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Scenario:
-    """Apply the overrides (their paths are relative to the current folder) and validate."""
+    """Apply the overrides, whose paths are relative to the current folder, and validate."""
     for text in overrides:
         _apply(data, text)
     _resolve_paths(data, Path.cwd())
@@ -195,6 +195,11 @@ def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Sc
 
 
 def _find(source: str | Path) -> Path:
+    """The TOML or MJCF file of a scenario.
+
+    Raises:
+        ScenarioError: there is none.
+    """
     path = Path(source)
     if path.is_dir() and (path / "scenario.toml").is_file():
         return path / "scenario.toml"
@@ -215,6 +220,11 @@ def _find(source: str | Path) -> Path:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        ScenarioError: the file is not valid TOML or cannot be read.
+    """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -235,7 +245,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
 
 
 def _parsed(override: str) -> tuple[list[str], Any]:
-    """The parts of the key of `a.b.c=value` (a quoted one may hold dots or globs), the value."""
+    """Keys and value of `a.b.c=value`; a quoted key may contain dots and globs."""
     key, equals, text = override.partition("=")
     if not equals or not key.strip():
         raise ScenarioError(f"--set {override!r} is not of the form section.key=value")
@@ -257,7 +267,7 @@ def _parsed(override: str) -> tuple[list[str], Any]:
 
 
 def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make relative files absolute, so that the saved scenario still finds them."""
+    """Make the paths of files absolute, so that a stored scenario still finds them."""
     for section in ("model", "filter", "control"):
         table = data.get(section)
         if isinstance(table, dict) and isinstance(path := table.get("path"), str):

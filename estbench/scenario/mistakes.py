@@ -1,4 +1,4 @@
-"""What is wrong with a scenario, in words: every mistake at once, each with its path."""
+"""Messages for all mistakes that the validation of a scenario finds, each with its path."""
 
 import re
 from typing import Any, get_args
@@ -13,27 +13,27 @@ _BRANCH = re.compile(r"(float|str|int|list|dict|tuple|function-after|constrained
 
 
 def explain(error: ValidationError, root: type[Section]) -> list[str]:
-    """The mistakes found in a section of class `root`, each as `path: what is wrong`."""
-    return [_explain(e, root) for e in _meant(error)]
+    """The mistakes in a section of class `root`, each as `path: message`."""
+    return [_explain(e, root) for e in _relevant(error)]
 
 
-def _meant(error: ValidationError) -> list[Any]:
-    """The errors of a validation, without the names of a union's branches and those not meant."""
+def _relevant(error: ValidationError) -> list[Any]:
+    """The errors of a validation, without union branch names and errors of other branches."""
     found = []
     for e in error.errors():
         own = tuple(p for p in e["loc"] if isinstance(p, int) or not _BRANCH.fullmatch(p))
         found.append({**e, "loc": own, "other": e["type"] in _OTHER})
-    # A number that is wrong is no list either: one mistake, and that is the number.
-    meant = [e["loc"] for e in found if not e["other"]]
+    # A wrong number also fails as a list, the other branch: only the first error is reported.
+    relevant = [e["loc"] for e in found if not e["other"]]
     kept: dict[tuple[Any, ...], Any] = {}
     for e in found:
-        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in meant):
+        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in relevant):
             kept.setdefault(e["loc"], e)
     return list(kept.values())
 
 
 def _explain(error: Any, root: type[Section]) -> str:
-    """One mistake as `path: what is wrong (did you mean ...)`."""
+    """One mistake as `path: message (did you mean ...)`."""
     where = ".".join(str(part) for part in error["loc"]) or "scenario"
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "extra_forbidden":

@@ -1,1 +1,1 @@
-"""One sensor from its true reading to the delivery of a noisy one."""
+"""Sensors: noise, imperfections, sampling times and latency of the readings."""

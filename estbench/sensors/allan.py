@@ -1,7 +1,7 @@
-"""Allan deviation: how the mean of a sensor's error over τ differs from that over the next τ.
+"""Allan deviation: σ(τ)² is half the mean square difference of successive averages over τ.
 
-Source: IEEE Std 952-1997, annex C: the overlapping estimator, and what white noise, a random walk
-and a Gauss-Markov drift make of it.
+Source: IEEE Std 952-1997, annex C: the overlapping estimator, and the Allan deviation of white
+noise, a random walk and a Gauss-Markov drift.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ def deviation(
     """Overlapping Allan deviation of readings of a rate, e.g. of a gyro in rad/s.
 
     Args:
-        values: readings `(time, ...)`, evenly spaced; the other axes are records of their own.
-        step: between them, s.
-        taus: averaging times, s, rounded to whole steps; default 12 a decade, up to a quarter of
-            the record.
+        values: readings `(time, ...)`, evenly spaced; the other axes are independent records.
+        step: time between readings, s.
+        taus: averaging times, s, rounded to multiples of the step; default 12 per decade, up to a
+            quarter of the record.
 
     Returns:
-        τ `(tau,)` in s, and the deviation `(tau, ...)` in the unit of the readings.
+        Averaging times τ `(tau,)` in s, and the deviation `(tau, ...)` in the readings' unit.
 
     Raises:
         EstbenchError: fewer than 4 readings, or a τ longer than half the record.
@@ -60,13 +60,13 @@ def deviation(
 
 @dataclass(frozen=True)
 class NoiseParameters:
-    """What a datasheet says of one axis.
+    """Noise parameters of one axis, as a datasheet gives them.
 
     Attributes:
         density: white noise, unit/√Hz.
         walk: random walk of the bias, unit/√s.
-        drift: std of a first-order Gauss-Markov drift, unit.
-        drift_time: its correlation time, s.
+        drift: standard deviation of a first-order Gauss-Markov drift, unit.
+        drift_time: correlation time of the drift, s.
     """
 
     density: float = 0.0
@@ -76,7 +76,7 @@ class NoiseParameters:
 
     @classmethod
     def of(cls, channel: Channel, axis: int = 0) -> "NoiseParameters":
-        """Those of a channel's noise and drifts."""
+        """The parameters of one axis of a channel."""
         density = float(np.sqrt(channel.cov[axis, axis] * channel.timing.interval))
         imperfections = channel.imperfections
         if imperfections is None:
@@ -118,13 +118,13 @@ def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> 
 
 
 def plot(channel: Channel, duration: float = 600.0, seed: int = 0, runs: int = 8) -> Any:
-    """A matplotlib figure: each run's Allan deviation at rest, and what the datasheet promises.
+    """A matplotlib figure: the Allan deviation of each run at rest, and that of the datasheet.
 
     Args:
         channel: e.g. one of `setup.build(scenario).channels`.
-        duration: of the record, s.
-        seed: of its random numbers.
-        runs: how many records.
+        duration: length of each record, s.
+        seed: seed of the random numbers.
+        runs: count of records.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

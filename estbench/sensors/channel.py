@@ -1,4 +1,4 @@
-"""Sensors: which channels a scenario uses, and what each is: source, noise, flaws, timing."""
+"""The channels of a scenario: measurand, noise, imperfections and timing of each."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,18 +24,18 @@ _ADD = "add <sensor> elements, or [channels.NAME] add = {type = 'jointpos', obje
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One sensor as it is on the robot, or several taken together, or a function of the state.
+    """A sensor of the robot, several sensors as one measurement, or a function of the state.
 
     Attributes:
-        name: the MuJoCo sensor's name, or the scenario's for what is not one sensor.
-        measurand: what it reads, without noise.
-        sensors: names of the MuJoCo sensors it reads; none for a function.
+        name: name of the MuJoCo sensor, or that of the scenario's channel.
+        measurand: what the channel measures: the noise-free reading.
+        sensors: names of the MuJoCo sensors that the channel reads; empty for a function.
         kind: type of the sensor(s), or `function`.
         cov: R `(m, m)`; where a schedule gives R itself, that of t = 0.
-        columns: where the reading stands in sensordata; none for a function.
+        columns: indices of the reading in sensordata; empty for a function.
         timing: rate, phase, jitter, latency.
         imperfections: biases, quantization, faults, ...; None for white noise only.
-        schedule: factor on the noise's std, or R itself, over time; or None.
+        schedule: factor on the std of the noise, or R itself, over time; None if constant.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Channel:
 
     @property
     def space(self) -> Manifold:
-        """The manifold of its reading; names and units."""
+        """The manifold of the reading, with names and units."""
         return self.measurand.space
 
     @property
@@ -68,13 +68,13 @@ class Channel:
 
     @cached_property
     def factor(self) -> Array:
-        """L with L Lᵀ = R; zero rows where the sensor is exact."""
+        """L `(m, m)` with L Lᵀ = R; its row is zero where the noise is zero."""
         exact = np.diag(self.cov) == 0.0
         factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
         return factor.astype(np.float64)
 
     def noise_from(self, white: Array, t: float) -> Array:
-        """Noise ~ N(0, R) `(..., m)` of readings due at t, s, from standard normals `(..., m)`."""
+        """Noise v ~ N(0, R(t)) `(..., m)` from standard normals `(..., m)`; t in s."""
         factor, size = self.factor, None
         if self.schedule is not None:
             value = self.schedule.at(t)
@@ -82,7 +82,7 @@ class Channel:
                 factor = np.linalg.cholesky(value)
             else:
                 size = value
-        # A stack of small products: one large product could round by the count of rows.
+        # A stack of small products: the rounding of one large product depends on the row count.
         v = (factor @ white[..., None])[..., 0]
         return v if size is None else v * size
 
@@ -98,24 +98,25 @@ def build(
 ) -> tuple[list[Channel], list[str]]:
     """The channels in use, and notices about what was assumed.
 
-    A sensor that is taken together with others is a channel of its own only where `use` names it.
+    A sensor that is a member of another channel is a channel itself only if `use` names it.
 
     Args:
         model: the truth's model, with added sensors.
         sections: the scenario's `[channels.NAME]`.
-        use: names in use, or None for all.
-        frame_skip: physics steps of a filter step: the default period.
-        duration: of a run, s; schedules must last as long.
-        mjcf_timings: name -> the MJCF's own rhythm of a sensor with a history.
-        believed: the scenario's `[filter.channels.NAME]`; a channel whose R is given there may be
-            free of noise.
+        use: names of the channels in use, or None for all.
+        frame_skip: physics steps per filter step: the default period.
+        duration: length of each run, s; schedules must last as long.
+        mjcf_timings: sensor -> timing that the MJCF gives, for sensors with a history.
+        believed: the scenario's `[filter.channels.NAME]`; where R is given there, the true noise
+            may be 0.
 
     Raises:
-        ScenarioError: a name that is no sensor, no sensor at all, a rate that does not fit.
+        ScenarioError: an unknown name, no sensor at all, or a rate that is no divisor of the
+            physics rate.
         CovarianceError, DimensionError: R is not positive definite or has the wrong size.
     """
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
-    channels, notices = [], _idle(sections, use)
+    channels, notices = [], _unused(sections, use)
     for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
         measurand, kind = measurands.build(name, section, model, names)
@@ -137,10 +138,10 @@ def build(
                 section, where, measurand.space, std, timing.rate, exact
             )
         if assumed.any():
-            guess = dict.fromkeys(
+            described = dict.fromkeys(
                 f"{s:g} {unit}" for s, unit in zip(assumed, measurand.space.units) if s
             )
-            notices.append(f"{name}: no noise given; assuming {', '.join(guess)}")
+            notices.append(f"{name}: no noise given; assuming {', '.join(described)}")
         cutoff = _per_axis(model, measurand, mjcf_cutoff(model), np.inf)
         imperfections = datasheet.imperfections(section, where, measurand.space, cutoff)
         read = tuple(names[i] for i in measurand.sensors)
@@ -156,10 +157,10 @@ def build(
 def _in_use(
     names: Sequence[str], sections: Mapping[str, ChannelSection], use: Sequence[str] | None
 ) -> list[str]:
-    """The channels in use: sensors in the model's order, then what the scenario makes of them."""
-    made = {name: s for name, s in sections.items() if s.of is not None or s.function is not None}
-    known = [*names, *made]
-    for name, section in made.items():
+    """The channels in use: MuJoCo sensors in the model's order, then those of the scenario."""
+    defined = {n: s for n, s in sections.items() if s.of is not None or s.function is not None}
+    known = [*names, *defined]
+    for name, section in defined.items():
         if name in names:
             raise ScenarioError(f"channels.{name}: a sensor has this name; choose another")
         _check_names(f"channels.{name}.of", section.of or (), names)
@@ -171,42 +172,46 @@ def _in_use(
     ]  # fmt: skip
     if use is not None:
         return active
-    members = {member for name in active if name in made for member in made[name].of or ()}
+    members = {member for name in active if name in defined for member in defined[name].of or ()}
     return [name for name in active if name not in members]
 
 
 def _check_names(where: str, wanted: Iterable[str], known: Sequence[str]) -> None:
-    """Refuse names that no sensor has."""
+    """Refuse names that are not known.
+
+    Raises:
+        ScenarioError: unknown names; all are listed.
+    """
     unknown = [f"no sensor '{n}'{did_you_mean(n, known)}" for n in wanted if n not in known]
     if unknown:
         none = "" if known else f"; the MJCF declares none: {_ADD}"
         raise ScenarioError(f"{where}: {'; '.join(unknown)}{none}")
 
 
-def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:
-    """A notice of the channels that the scenario makes and does not use."""
-    idle = [
+def _unused(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> list[str]:
+    """One notice per channel that the scenario defines and does not use."""
+    unused = [
         name for name, s in sections.items()
         if use is not None and name not in use and (s.of or s.function or s.add)
     ]  # fmt: skip
-    return [f"not in use, as `sensors` does not name it: {name}" for name in idle]
+    return [f"not in use, as `sensors` does not name it: {name}" for name in unused]
 
 
 def mjcf_cutoff(model: mujoco.MjModel) -> Array:
-    """Saturation that the MJCF gives each sensor `(nsensor,)`, infinite for none.
+    """Saturation that the MJCF gives each sensor `(nsensor,)`; infinite for none.
 
-    MuJoCo clips neither unit vectors nor quaternions, and the cutoff of its distance sensors is
-    how far they look.
+    MuJoCo clips neither unit vectors nor quaternions; the cutoff of its distance sensors is their
+    range.
     """
     kinds, types = mujoco.mjtDataType, mujoco.mjtSensor
     numbers = np.isin(model.sensor_datatype, [kinds.mjDATATYPE_REAL, kinds.mjDATATYPE_POSITIVE])
-    looks = [types.mjSENS_GEOMDIST, types.mjSENS_GEOMNORMAL, types.mjSENS_GEOMFROMTO]
-    clipped = numbers & ~np.isin(model.sensor_type, looks) & (model.sensor_cutoff > 0)
+    ranges = [types.mjSENS_GEOMDIST, types.mjSENS_GEOMNORMAL, types.mjSENS_GEOMFROMTO]
+    clipped = numbers & ~np.isin(model.sensor_type, ranges) & (model.sensor_cutoff > 0)
     return np.where(clipped, model.sensor_cutoff, np.inf)
 
 
 def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Array:
-    """R as the filter believes it: its own, or the true one."""
+    """R `(m, m)` as the filter believes it: that of `section`, else the true one."""
     if section.noise is None and section.cov is None:
         return channel.cov
     given = ChannelSection(noise=section.noise, cov=section.cov)
@@ -217,7 +222,7 @@ def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Ar
 def _per_axis(
     model: mujoco.MjModel, measurand: Measurand, values: Array, default: float = 0.0
 ) -> Array:
-    """A number a sensor `(nsensor,)` as one a tangent coordinate of the measurand `(m,)`."""
+    """Values per MuJoCo sensor `(nsensor,)` as values per tangent coordinate `(m,)`."""
     if not measurand.sensors:
         return np.full(measurand.space.n, default)
     widths = [layout.sensor_space(model, [i]).n for i in measurand.sensors]
@@ -232,7 +237,7 @@ def _timing(
     frame_skip: int,
     mjcf_timings: Sequence[MjcfTiming],
 ) -> Timing:
-    """From the scenario, else from the MJCF."""
+    """The timing of a channel: from the scenario, else from the MJCF."""
     if len(set(mjcf_timings)) > 1 and (section.rate is None or section.latency is None):
         raise ScenarioError(
             f"{where}.of: the MJCF gives its sensors different interval, delay or nsample; give "
@@ -243,7 +248,7 @@ def _timing(
         period = _period(section.rate, timestep, f"{where}.rate")
         timing = replace(timing, period=period, phase=0, fractional=None, history=0)
     if section.phase is not None:
-        # As MuJoCo does: a reading is taken at the first step that is not earlier.
+        # As in MuJoCo, a reading is sampled at the first step that is not earlier.
         phase = int(np.ceil(section.phase / timestep - 1e-9))
         fractional = (float(max(phase, 1)), timing.fractional[1]) if timing.fractional else None
         timing = replace(timing, phase=phase, fractional=fractional)
@@ -259,7 +264,11 @@ def _timing(
 
 
 def _period(rate: float, timestep: float, where: str) -> int:
-    """Physics steps between the readings of a rate in Hz, which must be a whole count of them."""
+    """Physics steps between readings at a rate in Hz.
+
+    Raises:
+        ScenarioError: the count is not an integer.
+    """
     steps = 1.0 / rate / timestep
     period = round(steps)
     if period < 1 or abs(steps - period) > 1e-6 * max(1.0, steps):

@@ -1,4 +1,4 @@
-"""From a channel's section to its R and its imperfections, in the figures that datasheets use."""
+"""R and imperfections of a channel from its section, which uses the parameters of datasheets."""
 
 from collections.abc import Sequence
 
@@ -11,24 +11,24 @@ from estbench.shapes import Array
 from estbench.spaces.linalg import is_positive_definite
 from estbench.spaces.manifold import Manifold
 
-# Standard deviation assumed for a sensor that declares none, by unit: what a decent robot has.
+# Standard deviation assumed for a sensor without noise, by unit: typical of a good robot.
 DEFAULT_NOISE = {
     "rad": 0.01, "m": 0.01, "rad/s": 0.02, "m/s": 0.02, "m/s²": 0.1, "rad/s²": 0.5, "N": 0.5,
     "N m": 0.1, "T": 0.01, "pixel": 1.0, "s": 1e-3,
 }  # fmt: skip
 FALLBACK_NOISE = 0.01
 ALLAN_PEAK = 0.6173
-"""Peak of the Allan deviation of a Gauss-Markov drift over its std, at 1.89 correlation times."""
+"""Peak Allan deviation of a Gauss-Markov drift, at 1.89 correlation times, over its std."""
 ALLAN_FLOOR = 0.6643
-"""Floor of the Allan deviation over the bias instability, sqrt(2 ln 2/π) (IEEE Std 952)."""
+"""Minimum of the Allan deviation over the bias instability, sqrt(2 ln 2/π) (IEEE Std 952)."""
 
 
 def matrix(given: Sequence[Sequence[float]], space: Manifold, where: str, symbol: str) -> Array:
-    """A full covariance `(n, n)` that a scenario gives, in the tangent of a space.
+    """A full covariance `(n, n)` from a scenario, in the tangent space of `space`.
 
     Raises:
-        DimensionError: another shape.
-        CovarianceError: not symmetric positive definite.
+        DimensionError: the shape is not `(n, n)`.
+        CovarianceError: the matrix is not symmetric positive definite.
     """
     cov = np.asarray(given, dtype=np.float64)
     if cov.shape != (space.n, space.n):
@@ -49,19 +49,19 @@ def covariance(
     rate: float,
     exact: bool = False,
 ) -> tuple[Array, Array]:
-    """R `(m, m)`, and the std that had to be assumed `(m,)`, 0 where none had.
+    """R `(m, m)`, and the assumed std `(m,)`, 0 where the scenario or the MJCF gives one.
 
     Args:
-        section: the channel's.
-        where: its name, for messages.
+        section: the section of the channel.
+        where: name of the section, for messages.
         space: the manifold of its readings.
         mjcf_std: std that the MJCF gives each axis `(m,)`, 0 for none.
-        rate: Hz.
-        exact: whether a noise of 0 is allowed.
+        rate: mean rate of the readings, Hz, for `noise_density`.
+        exact: whether a std of 0 is allowed.
 
     Raises:
         CovarianceError, DimensionError: R is not positive definite or has the wrong size.
-        ScenarioError: the noise is given twice.
+        ScenarioError: more than one of noise, noise_density and cov is given.
     """
     given = [k for k in ("noise", "noise_density", "cov") if getattr(section, k) is not None]
     if len(given) > 1:
@@ -98,17 +98,17 @@ def covariance(
 def imperfections(
     section: ChannelSection, where: str, space: Manifold, cutoff: Array
 ) -> Imperfections | None:
-    """The section's imperfections, or None when there is none but white noise.
+    """The imperfections in a section, or None if it has white noise only.
 
     Args:
-        section: the channel's.
-        where: its name, for messages.
+        section: the section of the channel.
+        where: name of the section, for messages.
         space: the manifold of its readings.
-        cutoff: that the MJCF gives each axis `(m,)`, infinite for none.
+        cutoff: saturation that the MJCF gives each axis `(m,)`, infinite for none.
 
     Raises:
-        DimensionError: another count of values than axes.
-        ScenarioError: an imperfection that this sensor cannot have.
+        DimensionError: the count of values is neither 1 nor m.
+        ScenarioError: an imperfection that does not apply to this sensor.
     """
 
     def axes(name: str) -> Array:
@@ -148,7 +148,11 @@ def imperfections(
 
 
 def _check(section: ChannelSection, where: str, space: Manifold) -> None:
-    """Refuse what contradicts itself, or this sensor cannot have."""
+    """Refuse settings that exclude each other or do not apply to this sensor.
+
+    Raises:
+        ScenarioError: there are such settings.
+    """
     for pair in (("drift", "bias_instability"), ("quantization", "counts_per_revolution")):
         if all(np.any(getattr(section, name) or 0.0) for name in pair):
             raise ScenarioError(f"{where} has {' and '.join(pair)}; give one of them")

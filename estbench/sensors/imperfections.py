@@ -1,10 +1,10 @@
-"""What a sensor does to the true reading, one reading of all runs at a time.
+"""The imperfections of a sensor, applied to one reading of all runs at a time.
 
 In order: scale factor and misalignment, bias and drift, white noise with outliers, saturation,
-quantization, deadband, stuck-at faults, dropout. Everything lives in the reading's tangent, so an
-attitude is biased by a rotation. The random numbers are handed in (`Draws`), so that the same
-functions serve a recorded batch and a live environment: `advance` is what happens to the sensor
-whatever it looks at, `respond` what it then says; `deliver` is both.
+quantization, deadband, stuck-at faults, dropout. All errors are tangent vectors of the reading, so
+the bias of an attitude is a rotation. The caller draws the random numbers (`Draws`), so the same
+functions serve batches and environments. `advance` updates the errors and faults, which do not
+depend on the true reading; `respond` applies them to the true reading; `deliver` does both.
 
 Sources: Gauss-Markov drift and its discretization: Gelb 1974, sec. 3.8; bursts: Gilbert 1960.
 """
@@ -19,29 +19,30 @@ from estbench.shapes import Array, Mask
 from estbench.spaces.manifold import Manifold
 
 Draws = dict[str, Array]
-"""Purpose -> random numbers `(run, width)` of one reading, or of the start."""
+"""Purpose -> random numbers `(run, width)` for one reading, or for the start."""
 
 
 @dataclass(frozen=True, eq=False)
 class Imperfections:
-    """Everything but the white noise; zero (or None) switches a part off.
+    """Every error of a sensor but its white noise; 0 switches an error off.
 
-    Attributes, per tangent coordinate `(m,)` where so said:
-        bias: std of a constant drawn once a run, `(m,)`.
+    Attributes, per tangent coordinate where the shape is `(m,)`:
+        bias: std of a constant drawn once per run, `(m,)`.
         walk: intensity of a random walk, unit/√s, `(m,)`.
         drift: stationary std of a first-order Gauss-Markov drift, `(m,)`.
-        drift_time: its correlation time, s.
+        drift_time: correlation time of the drift, s.
         scale_factor: std of the relative gain error of each axis, `(m,)`.
         misalignment: std of the rotation of a three-axis sensor, rad.
         quantization: step, `(m,)`.
-        cutoff: saturation at ± this, `(m,)`; infinite for none.
-        deadband: readings below this in size become zero, `(m,)`.
-        outlier_probability, outlier_scale: chance that a reading's noise is that many times larger.
-        student_dof: degrees of freedom of a Student-t noise with the covariance R; 0 for Gaussian.
-        dropout: long-run share of readings lost.
+        cutoff: saturation at ± this value, `(m,)`; infinite for none.
+        deadband: readings of smaller magnitude become zero, `(m,)`.
+        outlier_probability: probability that a reading is an outlier.
+        outlier_scale: factor on the noise of an outlier.
+        student_dof: degrees of freedom of Student-t noise with covariance R; 0 for Gaussian noise.
+        dropout: mean share of readings lost.
         dropout_length: mean length of a gap, readings; 1 for independent losses.
-        stuck: chance that a reading starts a stuck-at fault.
-        stuck_length: mean length of it, readings.
+        stuck: probability that a stuck-at fault begins at a reading.
+        stuck_length: mean length of a stuck-at fault, readings.
     """
 
     bias: Array
@@ -62,7 +63,7 @@ class Imperfections:
     stuck_length: float = 10.0
 
     def normals(self, m: int) -> dict[str, int]:
-        """Purpose -> how many standard normals each reading needs, for the parts in use."""
+        """Purpose -> count of standard normals per reading, for the errors in use."""
         return {
             purpose: m
             for purpose, used in (("walk", self.walk.any()), ("drift", self.drift.any()))
@@ -70,7 +71,7 @@ class Imperfections:
         }
 
     def uniforms(self) -> dict[str, int]:
-        """Purpose -> how many uniforms on [0, 1) each reading needs, for the parts in use."""
+        """Purpose -> count of uniforms on [0, 1) per reading, for the errors in use."""
         used = (
             ("outlier", self.outlier_probability),
             ("student", self.student_dof),
@@ -80,7 +81,7 @@ class Imperfections:
         return {purpose: 1 for purpose, value in used if value}
 
     def constants(self, m: int) -> dict[str, int]:
-        """Purpose -> how many standard normals the start needs, for the parts in use."""
+        """Purpose -> count of standard normals at the start, for the errors in use."""
         used = (
             ("bias", self.bias.any(), m),
             ("drift0", self.drift.any(), m),
@@ -92,17 +93,17 @@ class Imperfections:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A sensor's memory, a row a run.
+    """The state of a sensor in each run.
 
     Attributes:
         bias: constant plus random walk `(run, m)`.
-        drift: Gauss-Markov part `(run, m)`.
-        error: what this reading adds to the true one: bias, drift and noise `(run, m)`.
+        drift: Gauss-Markov drift `(run, m)`.
+        error: additive error of this reading: bias, drift and noise `(run, m)`.
         gain: matrix that multiplies the true reading `(run, m, m)`, or None for the identity.
-        last: last delivered reading `(run, ny)`, or None where none has been kept.
-        stuck: in a stuck-at fault `(run,)`.
-        lost: in a gap; this reading does not arrive `(run,)`.
-        time: of the last reading, s; 0 before the first; `(run, 1)` where the runs differ.
+        last: last reading that was delivered `(run, ny)`, or None where none has been kept.
+        stuck: whether the sensor has a stuck-at fault `(run,)`.
+        lost: whether this reading is lost `(run,)`.
+        time: time of the last reading, s, 0 before the first; `(run, 1)` where the runs differ.
     """
 
     bias: Array
@@ -116,7 +117,14 @@ class State:
 
 
 def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> State:
-    """The sensor as it is switched on; draws as `Imperfections.constants` asks."""
+    """The state of the sensor at t = 0.
+
+    Args:
+        imperfections: the sensor's imperfections.
+        draws: standard normals as `Imperfections.constants` counts them.
+        runs: count of runs.
+        m: count of tangent coordinates.
+    """
     zero = np.zeros((runs, m))
     gain = None
     if "scale_factor" in draws or "misalignment" in draws:
@@ -143,16 +151,19 @@ def deliver(
     draws: Draws,
     time: float,
 ) -> tuple[Array, Mask | None, State]:
-    """One reading: what is delivered `(run, ny)`, where it arrives `(run,)` (None: all), memory.
+    """One reading of all runs.
 
     Args:
         imperfections: the sensor's imperfections.
         space: the manifold of its readings.
         clean: noise-free readings `(run, ny)`.
         noise: white noise v `(run, m)`.
-        state: from `start` or the reading before.
-        draws: as `Imperfections.normals` and `uniforms` ask.
-        time: of this reading, s.
+        state: from `start` or the previous reading.
+        draws: random numbers as `Imperfections.normals` and `uniforms` count them.
+        time: time of this reading, s.
+
+    Returns:
+        The reading `(run, ny)`, whether it arrives `(run,)` (None: in all runs), and the state.
     """
     state = advance(imperfections, noise, state, draws, time)
     y, state = respond(imperfections, space, clean, state)
@@ -162,7 +173,7 @@ def deliver(
 def advance(
     imperfections: Imperfections, noise: Array, state: State, draws: Draws, time: float | Array
 ) -> State:
-    """The sensor at its next reading: its error, and whether it is stuck or the reading lost."""
+    """The state of the sensor at its next reading: errors, stuck-at faults and losses."""
     step, first = time - state.time, np.ravel(state.time) == 0.0
     bias, drift, stuck, lost = state.bias, state.drift, state.stuck, state.lost
     if "walk" in draws:
@@ -180,14 +191,14 @@ def advance(
         stuck = np.where(
             stuck, chance >= 1.0 / imperfections.stuck_length, chance < imperfections.stuck
         )
-        stuck &= ~first  # there is nothing to be stuck at
+        stuck &= ~first  # there is no earlier reading to repeat
     if "dropout" in draws:
         chance = draws["dropout"][:, 0]
         lost = chance < imperfections.dropout
         if imperfections.dropout_length > 1.0:
             leave = 1.0 / imperfections.dropout_length
-            # Gilbert's chain: entered with this chance, and begun (at t = 0) in or out of a gap
-            # with the share `dropout`, it loses that share of the readings at any time.
+            # Gilbert's Markov chain. With this probability of entering a gap, and `dropout` as the
+            # probability of a gap at t = 0, the share of lost readings is `dropout` at any time.
             enter = leave * imperfections.dropout / (1.0 - imperfections.dropout)
             chain = np.where(state.lost, chance >= leave, chance < enter)
             lost = np.where(first, lost, chain)
@@ -204,14 +215,14 @@ def respond(
     state: State,
     rows: Mask | None = None,
 ) -> tuple[Array, State]:
-    """What the sensor says of a true reading `(run, ny)`, and its memory of having said so.
+    """The reading `(run, ny)` of a true reading, and the state with the reading stored.
 
     Args:
         imperfections: the sensor's imperfections.
         space: the manifold of its readings.
         clean: noise-free readings `(run, ny)`.
         state: from `advance`.
-        rows: runs that read now `(run,)`; the others remember what they said before.
+        rows: runs that sample now `(run,)`, None for all; the others keep their last reading.
     """
     y = clean if state.gain is None else (state.gain @ clean[..., None])[..., 0]
     y = space.plus(y, state.error)
@@ -238,16 +249,16 @@ def _transfer(imperfections: Imperfections, y: Array) -> Array:
 
 
 def _student_scale(uniform: Array, dof: float) -> Array:
-    """Factor `(run, 1)` that makes Gaussian noise Student-t of the same covariance (dof > 2)."""
+    """Factor `(run, 1)` that turns Gaussian into Student-t noise of equal covariance (dof > 2)."""
     return np.exp(np.interp(ndtri(uniform), *_student_table(dof)))
 
 
 @cache
 def _student_table(dof: float) -> tuple[Array, Array]:
-    """Logarithm of the factor at quantiles of the standard normal.
+    """Quantiles of the standard normal, and the logarithm of the factor there.
 
-    Between them it is all but linear: to 1e-6, and many times faster than the inverse.
+    Linear interpolation has an error of 1e-6 and is many times faster than the inverse function.
     """
-    quantiles = np.linspace(-7.1, 7.1, 4001)  # beyond: 1e-12
+    quantiles = np.linspace(-7.1, 7.1, 4001)  # the tails beyond have a probability of 1e-12
     chi2 = 2.0 * gammaincinv(0.5 * dof, ndtr(quantiles))
     return quantiles, 0.5 * np.log((dof - 2.0) / chi2)

@@ -17,13 +17,13 @@ from estbench.spaces.manifold import Manifold
 def build(
     name: str, section: ChannelSection, model: mujoco.MjModel, names: Sequence[str]
 ) -> tuple[Measurand, str]:
-    """What a channel reads, and its type in words.
+    """What a channel reads, and the type of its sensors or `function`.
 
     Args:
-        name: the channel's.
+        name: name of the channel.
         section: the scenario's `[channels.NAME]`.
-        model: with all sensors.
-        names: of its sensors, in their order.
+        model: the MuJoCo model with all sensors.
+        names: names of the model's sensors, in order.
 
     Raises:
         ScenarioError: settings that exclude each other, or a function that cannot be called.
@@ -59,7 +59,11 @@ def build(
 
 
 def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjModel) -> Measurand:
-    """A user's function of the state; how many numbers it returns is found by calling it."""
+    """A user's function of the state; a call finds how many numbers it returns.
+
+    Raises:
+        ScenarioError: the function raises, or returns another shape for another batch shape.
+    """
     where = f"channels.{name}.function"
     called = cast(StateFunction, users.function(target, where))
     x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])

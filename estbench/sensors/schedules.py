@@ -1,6 +1,6 @@
-"""What changes with time: noise that grows, gusts that come; from a table or a function.
+"""Noise that varies with time, from a table or a function.
 
-A schedule gives factors on what the scenario says of a noise, or its whole covariance.
+A schedule gives factors on a noise of the scenario, or the full covariance.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from estbench.shapes import Array
 from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite
 
 Value = float | Array
-"""One factor, one an axis `(m,)`, or the whole covariance `(m, m)`."""
+"""One factor, one per axis `(m,)`, or the full covariance `(m, m)`."""
 Symbol = Literal["R", "Q_s"]
 
 
@@ -24,7 +24,7 @@ class Schedule(Protocol):
     """A factor, or a covariance, over time."""
 
     def at(self, t: float) -> Value:
-        """Its value at time t, s."""
+        """The factor or covariance at time t, s."""
         ...
 
 
@@ -33,28 +33,29 @@ class PiecewiseConstant:
     """A piecewise constant factor.
 
     Attributes:
-        until: where each piece ends, s, increasing.
-        factor: its factor.
+        until: end of each interval, s, increasing.
+        factor: factor in each interval.
     """
 
     until: tuple[float, ...]
     factor: tuple[float, ...]
 
     def at(self, t: float) -> float:
-        """The factor at time t, s; a piece includes its end."""
+        """The factor at time t, s; an interval includes its end."""
         index = int(np.searchsorted(self.until, t - 1e-9))
         return self.factor[min(index, len(self.factor) - 1)]
 
 
 @dataclass(frozen=True)
 class UserFunction:
-    """What a user's function of the time returns.
+    """A schedule from a user's function of time.
 
     Attributes:
-        function: t in s -> a positive factor, one an axis `(axes,)`, or a whole `(axes, axes)`.
-        axes: how many there are.
-        where: the setting, for messages.
-        symbol: of the covariance; R is positive definite, Q_s semidefinite.
+        function: t in s -> a positive factor, one per axis `(axes,)`, or the full covariance
+            `(axes, axes)`.
+        axes: count of the axes.
+        where: name of the setting, for messages.
+        symbol: symbol of the covariance; R is positive definite, Q_s semidefinite.
     """
 
     function: Any
@@ -63,12 +64,12 @@ class UserFunction:
     symbol: Symbol = "R"
 
     def at(self, t: float) -> Value:
-        """Its value at time t, s.
+        """The factor or covariance at time t, s.
 
         Raises:
-            ScenarioError: the function raised, or returned neither factors nor a matrix of this
-                size.
-            CovarianceError: the matrix is no covariance.
+            ScenarioError: the function raised, or returned neither factors nor a matrix
+                `(axes, axes)`.
+            CovarianceError: the matrix is not symmetric positive (semi)definite.
         """
         try:
             value = np.asarray(self.function(t), dtype=np.float64)
@@ -97,13 +98,13 @@ class UserFunction:
 
 @dataclass(frozen=True)
 class Scaled:
-    """A schedule of whole covariances, each times a number; factors stay as they are."""
+    """A schedule whose full covariances are multiplied by `scale`; factors are unchanged."""
 
     schedule: Schedule
     scale: float
 
     def at(self, t: float) -> Value:
-        """Its value at time t, s."""
+        """The factor or scaled covariance at time t, s."""
         value = self.schedule.at(t)
         return self.scale * value if np.ndim(value) == 2 else value
 
@@ -115,19 +116,19 @@ def build(
     where: str,
     symbol: Symbol = "R",
 ) -> Schedule | None:
-    """From rows (until s, factor) or `module:function`; None, a constant 1, from None.
+    """The schedule of rows (until s, factor) or of `module:function`; None from None.
 
     Args:
         given: the setting.
-        axes: of what is scaled, should a function return a factor an axis or a matrix.
-        duration: of a run, s.
-        where: the setting's name.
-        symbol: of the covariance.
+        axes: count of the axes of the noise.
+        duration: length of each run, s.
+        where: name of the setting, for messages.
+        symbol: symbol of the covariance.
 
     Raises:
         ScenarioError: the times do not increase or end before the run; there is no such function,
             or it fails at t = 0.
-        CovarianceError: it returns a matrix that is no covariance.
+        CovarianceError: the function returns a matrix that is not positive (semi)definite.
     """
     if given is None:
         return None
@@ -147,13 +148,13 @@ def build(
 
 
 def initial_covariance(schedule: Schedule | None) -> Array | None:
-    """The covariance at t = 0 of a schedule of covariances; None of any other."""
+    """The covariance `(m, m)` at t = 0 if the schedule gives covariances, else None."""
     first = np.asarray(1.0 if schedule is None else schedule.at(0.0))
     return first if first.ndim == 2 else None
 
 
 def unused(schedule: Schedule | None, section: Any, names: Sequence[str], where: str) -> list[str]:
-    """A notice of constants that a section gives beside a schedule of whole covariances."""
+    """One notice per constant of a section that a schedule of full covariances overrides."""
     if initial_covariance(schedule) is None:
         return []
     given = [f"{where}.{name}" for name in names if getattr(section, name) is not None]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from estbench.commands import check as inspection
+from estbench.commands import inspection
 from estbench.errors import ScenarioError
 from estbench.experiment import setup
 from estbench.scenario.load import resolve
@@ -33,7 +33,7 @@ MISTAKES = {
 
 def said(overrides):
     with pytest.raises(ScenarioError) as error:
-        inspection.render_check(resolve("cartpole", overrides=list(overrides)))
+        inspection.render(resolve("cartpole", overrides=list(overrides)))
     return str(error.value)
 
 

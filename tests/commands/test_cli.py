@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench.commands import cli
+from estbench.commands import cli, run
 from estbench.errors import EstimatorError
 from estbench.estimators.ekf import EKF
 from estbench.scenario.load import bundled
@@ -238,7 +238,7 @@ def test_ctrl_c_in_the_middle(folder, monkeypatch, capfd):
         def __exit__(self, *details):
             pass
 
-    monkeypatch.setattr(cli, "_progress", Progress)
+    monkeypatch.setattr(run, "progress", Progress)
     arguments = ["run", "cartpole", "-e", "ekf", "--runs", "60", "--duration", "0.1", "--out", "x"]
     monkeypatch.setattr(sys, "argv", ["estbench", *arguments])
     with pytest.raises(SystemExit) as exit_:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estbench.commands import check as inspection
+from estbench.commands import catalogue
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.ekf import EKF
@@ -187,13 +187,13 @@ def test_an_installed_packages_entry_point(tmp_path, monkeypatch):
         registry.resolve("their")
     with pytest.raises(EstimatorError, match="estimator 'broken': cannot import 'nothing_there'"):
         registry.resolve("broken")
-    listed = inspection.catalogue()["estimators"]
+    listed = catalogue.catalogue()["estimators"]
     assert listed["theirs"] == "Theirs."
     assert listed["broken"].startswith("cannot be imported: ModuleNotFoundError")
 
 
 def test_every_registered_name_is_a_class_with_a_first_line():
-    for name, line in inspection.catalogue()["estimators"].items():
+    for name, line in catalogue.catalogue()["estimators"].items():
         assert line.endswith((".", ":", ",")) or len(line) > 20, name
         assert not line.startswith("cannot be imported"), name
 

@@ -1,4 +1,4 @@
-"""`estbench sensors --out`: a few seconds of true against measured, a panel a channel."""
+"""`estbench sensors --out`: true and measured readings over a few seconds."""
 
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -18,23 +18,23 @@ from estbench.simulation import sources
 from estbench.tables.destination import check_file
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe & Ito's, one an axis."""
+"""Palette of Okabe & Ito; one colour per axis."""
 COLUMNS = 3
 FORMATS = ("png", "pdf", "svg")
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One channel of one run; attitudes as rotation vectors from the first true one.
+    """One channel in one run; attitudes are rotation vectors from the first true attitude.
 
     Attributes:
-        channel: the sensor.
-        times: s, of `true`.
+        channel: the channel.
+        times: times of `true` `(time,)`, s.
         true: noise-free readings `(time, m)`.
-        taken: s, when each reading was taken.
-        arrived: s, when it arrived.
+        taken: sampling time of each reading `(reading,)`, s.
+        arrived: arrival time of each reading `(reading,)`, s.
         measured: the readings `(reading, m)`.
-        lost: s, when a reading was due that never came.
+        lost: due times of the lost readings, s.
     """
 
     channel: Channel
@@ -47,15 +47,15 @@ class Record:
 
 
 def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
-    """What the channels of one run say in its first seconds, the controller seeing the truth.
+    """The readings of one run in its first seconds; the controller uses the true state.
 
     Args:
-        setup: of the scenario.
-        seconds: how long; the run may be shorter.
-        run: its number.
+        setup: the scenario as objects.
+        seconds: time to record, s; the run may be shorter.
+        run: number of the run.
 
     Raises:
-        EstbenchError: not even the first instant lies within `seconds`.
+        EstbenchError: `seconds` ends before the first instant.
     """
     ends = np.array([i.end for i in setup.instants])
     shown = int(np.searchsorted(ends, seconds + 1e-9))
@@ -100,7 +100,7 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
 
 
 def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
-    """Draw the channels into a file, whose suffix says the format.
+    """Draw the channels into a file, whose suffix gives the format.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -118,10 +118,10 @@ def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
 
 
 def draw(records: Sequence[Record], title: str) -> Any:
-    """A matplotlib figure: the true reading as a line, what was measured as points.
+    """A matplotlib figure: true readings as lines, measured readings as points.
 
-    A point stands when its reading was taken; with latency a thin line leads to when it arrived.
-    Readings that never came are marks at the foot. Each axis has a panel and a scale of its own.
+    A point stands at the sampling time; with latency, a thin line leads to the arrival time. Marks
+    at the lower edge are lost readings. Each axis has its own panel and scale.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -137,7 +137,7 @@ def draw(records: Sequence[Record], title: str) -> Any:
     ]
     counts = [len(axes) for _, axes in rows]
     cells = 6  # one, two or three panels fit into a row
-    # The time is said where the panels below are not as wide.
+    # The time axis is labelled where the panels below have another width.
     timed = [counts[row : row + 2] != [count] * 2 for row, count in enumerate(counts)]
     width, height = 3.2 + 2.9 * max(counts), 0.7 + 1.7 * len(rows) + 0.3 * sum(timed)
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -158,7 +158,7 @@ def draw(records: Sequence[Record], title: str) -> Any:
 
 
 def _key(records: Sequence[Record]) -> str:
-    """What the signs in the picture mean."""
+    """The meaning of the lines, points and marks."""
     signs = ["true (lines) and measured (points)"]
     signs += ["thin lines lead to the arrival"] if any(_late(r).any() for r in records) else []
     signs += ["marks at the foot are lost readings"] if any(len(r.lost) for r in records) else []
@@ -166,12 +166,12 @@ def _key(records: Sequence[Record]) -> str:
 
 
 def _late(one: Record) -> NDArray[np.bool_]:
-    """Which readings arrive after they were taken `(reading,)`."""
+    """Whether each reading arrives after its sampling time `(reading,)`."""
     return one.arrived - one.taken > 1e-9
 
 
 def _panel(ax: Any, one: Record, axis: int, letters: int) -> None:
-    """One axis of one channel; with `letters` a line, the title says what the channel is."""
+    """One axis of one channel; the title describes the channel unless `letters` per line is 0."""
     space, y = one.channel.space, one.measured[:, axis]
     colour = COLOURS[axis % len(COLOURS)]
     size = float(np.clip(90 / np.sqrt(len(one.taken) + 1), 3.0, 16.0))
@@ -189,14 +189,16 @@ def _panel(ax: Any, one: Record, axis: int, letters: int) -> None:
     ax.set_title(title, loc="left", fontsize="small")
     if letters or space.units[axis] != space.units[axis - 1]:
         ax.set_ylabel(space.units[axis] + ("" if space.flat else " (rotation)"), fontsize="small")
-    ax.locator_params(axis="y", nbins=5)  # whatever the height: the layout then is the final one
+    ax.locator_params(
+        axis="y", nbins=5
+    )  # a fixed count, so that the layout does not depend on the height
     ax.grid(color="#dddddd", linewidth=0.4)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
 
 def _described(one: Record, axis: str) -> Iterator[str]:
-    """The channel in words; its name where that of the axis does not tell it."""
+    """The description of the channel; with its name unless the axis name begins with it."""
     channel = one.channel
     if not axis.startswith(channel.name):
         yield channel.name

@@ -1,1 +1,1 @@
-"""The robot as picture, video and live view."""
+"""Pictures, videos and the live view of the robot."""

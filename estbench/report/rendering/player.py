@@ -1,4 +1,4 @@
-"""What `estbench view` shows, whatever shows it: runs simulated ahead and played in real time."""
+"""The player of `estbench view`: runs are simulated ahead and played in real time."""
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -26,15 +26,15 @@ COMMANDS = {
     "n": "next", "r": "restart",
 }  # fmt: skip
 FRAME = 1 / 60
-"""Seconds that a frame lasts."""
+"""Duration of one frame, s."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the keys change.
+    """Settings that keys change.
 
     Attributes:
-        run: number.
+        run: number of the run.
         noise: factor on the standard deviation of every sensor's white noise.
         q: factor on the filter's Q.
     """
@@ -45,10 +45,10 @@ class Settings:
 
 
 class Player:
-    """Plays runs one after the other; a run changed by a key is simulated again, in the background.
+    """Plays runs in order; after a change by a key the run is simulated again in the background.
 
-    Run i has one truth whatever the filter's Q, so a key changes the estimate at the very moment
-    that is shown. (A changed noise changes the truth only where the control sees the estimate.)
+    The truth of a run does not depend on the filter's Q, so the new estimate is shown at the time
+    of the key. Other sensor noise changes the truth only if the controller uses the estimate.
 
     Args:
         source: bundled name, TOML or MJCF path.
@@ -57,7 +57,7 @@ class Player:
         overrides: `section.key=value` strings.
 
     Raises:
-        EstbenchError: anything wrong with the scenario; the first run is simulated here.
+        EstbenchError: the scenario is wrong; the first run is simulated here.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Player:
         return self._future is not None
 
     def advance(self, seconds: float) -> None:
-        """Let time pass; at the end of a run the next one begins."""
+        """Advance the time by some seconds; the next run begins at the end of a run."""
         if self._future is not None and self._future.done():
             self._take(self._future)
         if self.paused:
@@ -99,7 +99,7 @@ class Player:
             self._want(replace(self._wanted, run=self._wanted.run + 1))
 
     def command(self, name: str) -> None:
-        """Do what a key says: one of the values of `COMMANDS`; anything else is ignored."""
+        """Execute one of the values of `COMMANDS`; others are ignored."""
         wanted = self._wanted
         if name == "pause":
             self.paused = not self.paused
@@ -116,7 +116,7 @@ class Player:
             self.time = float(np.clip(self.time + by, 0.0, self.replay.times[-1]))
 
     def lines(self) -> list[str]:
-        """What is shown in words."""
+        """The lines of text of the view: run, time, NEES/n, settings, error."""
         nees = self.replay.nees[self.step]
         low, high = self.replay.band
         word = "in" if low <= nees <= high else "outside"
@@ -131,18 +131,18 @@ class Player:
         return [*out, self.problem] if self.problem else out
 
     def close(self) -> None:
-        """Let go of the background thread."""
+        """End the background thread."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _want(self, settings: Settings) -> None:
-        """Have a run simulated; what was still waiting is dropped."""
+        """Start the simulation of a run; a simulation that still waits is cancelled."""
         self._wanted = settings
         if self._future is not None:
             self._future.cancel()
         self._future = self._pool.submit(self._simulate, settings)
 
     def _take(self, future: "Future[Replay]") -> None:
-        """Show a run that is ready, at the time that is shown, or from its start if it is new."""
+        """Show a simulated run: at the current time, or from its start if its number is new."""
         self._future = None
         if future.cancelled():
             return
@@ -158,15 +158,16 @@ class Player:
         self.settings = self._wanted
 
     def _simulate(self, settings: Settings) -> Replay:
+        """Simulate the run of some settings."""
         return simulated(scaled(self._scenario, self._channels, settings), settings.run,
                          self._label)  # fmt: skip
 
 
 def scaled(scenario: Scenario, channels: dict, settings: Settings) -> Scenario:
-    """The scenario with its noise and its filter's Q scaled.
+    """The scenario with the sensors' noise and the filter's Q scaled.
 
     Args:
-        scenario: as given.
+        scenario: the original scenario.
         channels: name -> R `(m, m)` of the channels in use.
         settings: the factors.
     """
@@ -177,6 +178,8 @@ def scaled(scenario: Scenario, channels: dict, settings: Settings) -> Scenario:
     if settings.noise != 1.0:
         for name, cov in channels.items():
             section = sections.get(name) or ChannelSection.model_validate({})
-            louder = (settings.noise**2 * cov).tolist()
-            sections[name] = section.model_copy(update={"cov": louder, "noise": None})
+            scaled_cov = (settings.noise**2 * cov).tolist()
+            sections[name] = section.model_copy(
+                update={"cov": scaled_cov, "noise": None, "noise_density": None}
+            )
     return scenario.model_copy(update={"filter": belief, "channels": sections})

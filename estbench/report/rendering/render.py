@@ -1,4 +1,4 @@
-"""Pixels without a display: MuJoCo by OSMesa or EGL, whichever works on this machine."""
+"""Rendering without a display: MuJoCo with OSMesa or EGL."""
 
 import ctypes
 import ctypes.util
@@ -26,17 +26,17 @@ class RenderError(EstbenchError):
 
 
 class Renderer:
-    """Pixels of one robot, of its ghost and of the ghost's position covariance; no display needed.
+    """Renders one robot, its ghost and the ghost's position covariance, without a display.
 
     Args:
-        model: the robot; a copy of it is drawn (see `scene.lit`), its offscreen buffer enlarged
-            where it is too small.
-        width, height: pixels.
-        camera: name or number of a camera of the model, -1 for one that follows; default `view`,
-            else its first, else one that follows.
+        model: the robot; a copy of it is drawn (see `scene.lit`), with a larger offscreen buffer
+            if needed.
+        width, height: size of the picture, pixels.
+        camera: name or number of a camera of the model, -1 for one that follows the robot; default
+            `view`, else the first one, else one that follows.
 
     Raises:
-        RenderError: neither OSMesa nor EGL works here, or there is no such camera.
+        RenderError: neither OSMesa nor EGL works on this machine, or there is no such camera.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Renderer:
         self._rect = mujoco.MjrRect(0, 0, width, height)
         size = model.vis.global_
         size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
-        model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 1024)  # drawn by the CPU
+        model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, 1024)  # the CPU draws it
         self.scene = mujoco.MjvScene(model, maxgeom=4 * model.ngeom + 4 * model.nsite + 200)
         self.camera, self._follows = find_camera(model, camera)
         self._option = plain()
@@ -60,7 +60,7 @@ class Renderer:
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self.close = weakref.finalize(self, _free, self._gl, self._mjr)
-        """Free the OpenGL context: now, or when this is collected, or as Python ends."""
+        """Free the OpenGL context: on a call, at garbage collection, or at the end of Python."""
 
     def __enter__(self) -> "Renderer":
         return self
@@ -73,8 +73,8 @@ class Renderer:
 
         Args:
             x: true state `(nx,)`.
-            estimate: x̂ `(nx,)`; no ghost without it, nor where it is not finite.
-            cov: P `(n, n)`; no ellipsoid without it.
+            estimate: x̂ `(nx,)`; no ghost if None or not finite.
+            cov: P `(n, n)`; no ellipsoid if None.
         """
         self.update(x, estimate, cov)
         self._gl.make_current()
@@ -84,7 +84,7 @@ class Renderer:
         return pixels[::-1]
 
     def update(self, x: Array, estimate: Array | None, cov: Array | None) -> range:
-        """Fill the scene; the indices of the ghost's geoms."""
+        """Fill the scene and return the indices of the ghost's geoms."""
         if np.isfinite(x).all():
             pose(self.model, self._truth, x)
         if self._follows:
@@ -99,6 +99,7 @@ class Renderer:
 
 
 def _free(gl: Any, mjr: mujoco.MjrContext) -> None:
+    """Free MuJoCo's rendering context, then the OpenGL context."""
     gl.make_current()
     mjr.free()
     gl.free()
@@ -107,10 +108,11 @@ def _free(gl: Any, mjr: mujoco.MjrContext) -> None:
 def context(width: int, height: int) -> Any:
     """An OpenGL context that needs no display, with `make_current()` and `free()`.
 
-    `MUJOCO_GL` is obeyed; else EGL where there is a graphics card, then OSMesa, then EGL.
+    `MUJOCO_GL` chooses the library; without it EGL is used if there is a graphics card, then
+    OSMesa, then EGL.
 
     Raises:
-        RenderError: none works; the message says what to install.
+        RenderError: no library works; the message says what to install.
     """
     if platform.system() != "Linux":
         from mujoco.gl_context import GLContext  # pyright: ignore[reportAttributeAccessIssue]
@@ -128,7 +130,7 @@ def context(width: int, height: int) -> Any:
 
                 start("unset MUJOCO_GL")
             return GLContext(width, height)
-        except Exception as error:  # each library fails in its own way
+        except Exception as error:  # the exception depends on the library
             tried.append(f"{name}: {' '.join(str(error).split())[:120] or type(error).__name__}")
     reason = f" ({'; '.join(tried)})" if tried else ""
     chosen = _wanted()
@@ -167,13 +169,13 @@ def png(pixels: NDArray) -> bytes:
 
 
 def _wanted() -> str:
-    """The backend that MUJOCO_GL names, or "" where it leaves the choice to us."""
+    """The library that MUJOCO_GL names, or "" if it names none of the three."""
     name = os.environ.get("MUJOCO_GL", "").lower().strip()
     return name if name in ("osmesa", "egl", "glfw") else ""
 
 
 def _candidates() -> list[str]:
-    """Names to try: PyOpenGL takes one platform a process, so only what has its library."""
+    """The library to try: only an installed one, since PyOpenGL has one platform per process."""
     if wanted := _wanted():
         return [wanted]
     fixed = os.environ.get("PYOPENGL_PLATFORM") if "OpenGL" in sys.modules else None
@@ -186,7 +188,7 @@ def _candidates() -> list[str]:
 
 
 def _egl_display() -> bool:
-    """Whether EGL offers a device: asked by ctypes, as PyOpenGL could not be asked twice."""
+    """Whether EGL offers a device; by ctypes, because PyOpenGL keeps its first platform."""
     name = ctypes.util.find_library("EGL")
     if name is None:
         return False
@@ -206,7 +208,7 @@ def _egl_display() -> bool:
 
 
 def find_camera(model: mujoco.MjModel, wanted: str | int | None) -> tuple[mujoco.MjvCamera, bool]:
-    """A camera as in `Renderer`, and whether its target must follow the robot.
+    """The camera of `Renderer`, and whether its target must follow the robot.
 
     Raises:
         RenderError: there is no such camera.

@@ -1,4 +1,4 @@
-"""One run to look at: its truth, its estimate and its covariance at every instant."""
+"""One run to show: truth, estimate and covariance at every instant."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,16 +23,17 @@ class Replay:
     """One run of one estimator.
 
     Attributes:
-        name: the scenario's.
-        label: the estimator's.
-        run: its number.
-        model: the true robot, to be drawn.
-        times: `(K + 1,)` s.
-        truth, estimate: x and x̂ `(K + 1, nx)`.
+        name: name of the scenario.
+        label: label of the estimator.
+        run: number of the run.
+        model: the true robot.
+        times: `(K + 1,)`, s.
+        truth: x `(K + 1, nx)`.
+        estimate: x̂ `(K + 1, nx)`.
         cov: P `(K + 1, n, n)`; only its diagonal where `correlated` is False.
         nees: NEES/n `(K + 1,)`.
-        band: bounds of NEES/n of a single consistent run.
-        level: of the band.
+        band: bounds of NEES/n of one run with a consistent estimator.
+        level: probability of the band.
         correlated: whether the covariances between coordinates are known.
     """
 
@@ -56,16 +57,16 @@ def replay(
     estimator: str | None = None,
     overrides: Sequence[str] = (),
 ) -> Replay:
-    """A run of a results folder, or of a scenario that is simulated for it.
+    """A run of a results folder, or of a scenario, which is simulated now.
 
     Args:
         source: results folder, bundled name, TOML or MJCF path.
-        run: its number.
+        run: number of the run.
         estimator: label; default the first.
         overrides: `section.key=value` strings, for a scenario.
 
     Raises:
-        EstbenchError: no such run or estimator, or anything wrong with the scenario.
+        EstbenchError: no such run or estimator, or a mistake in the scenario.
     """
     if run < 0:
         raise EstbenchError(f"--run is {run}; runs are numbered from 0")
@@ -82,10 +83,10 @@ def replay(
 
 
 def of_entry(entry: Entry, run: int) -> Replay:
-    """A run as it was stored; simulated again where no traces were kept.
+    """A stored run; it is simulated again if no traces were kept.
 
-    P comes from the store (`keep = full`), else from simulating the run again where that gives
-    the stored estimate, else it is the stored variances alone.
+    P comes from the store (`keep = full`), else from a new simulation of the run if that gives the
+    stored estimate, else P is diagonal with the stored variances.
     """
     source = entry.source
     if not source.has_traces:
@@ -94,7 +95,7 @@ def of_entry(entry: Entry, run: int) -> Replay:
     group = entry.group.isel(run=place)
     prepared = setup.build(source.scenario)
     estimate, std = group["estimate"].values, group["std"].values
-    if source.scenario.control.observe == "estimate":  # each estimator has a truth of its own
+    if source.scenario.control.observe == "estimate":  # the truth depends on the estimator
         truth = prepared.space.plus(estimate, group["error"].values)
     else:
         truth = array(source.tree, "truth/x").isel(run=place).values
@@ -111,7 +112,11 @@ def of_entry(entry: Entry, run: int) -> Replay:
 
 
 def simulated(scenario: Scenario, run: int, label: str) -> Replay:
-    """A run simulated now."""
+    """A run that is simulated now.
+
+    Raises:
+        EstimatorError: the scenario has no estimator of that label.
+    """
     if label not in scenario.estimators:
         raise EstimatorError(f"no estimator '{label}' in {scenario.name}")
     chosen = scenario.model_copy(update={"estimators": {label: scenario.estimators[label]}})
@@ -126,7 +131,7 @@ def simulated(scenario: Scenario, run: int, label: str) -> Replay:
 
 
 def _again(scenario: Scenario, run: int, label: str, estimate: Array) -> Array | None:
-    """P of the run simulated again, or None where that is another run than the stored one."""
+    """P of a new simulation of the run, or None if its estimate is not the stored one."""
     try:
         other = simulated(scenario, run, label)
     except EstbenchError:

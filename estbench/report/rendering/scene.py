@@ -1,7 +1,7 @@
-"""What is drawn of an estimate in a MuJoCo scene: a translucent ghost and covariance ellipsoids.
+"""An estimate in a MuJoCo scene: a translucent ghost and covariance ellipsoids.
 
-These append to any `mujoco.MjvScene` and need no OpenGL: the report's pictures, videos, the live
-view and the environments all draw with them.
+The functions append to any `mujoco.MjvScene` and need no OpenGL. The report's pictures, videos, the
+live view and the environments use them.
 """
 
 import copy
@@ -13,20 +13,20 @@ import numpy as np
 from estbench.shapes import Array
 
 GHOST = (0.0, 0.62, 0.45, 0.45)
-"""Green of Okabe and Ito: told from the blue, orange and red robots by colour-blind readers too."""
+"""Green of Okabe and Ito: colour-blind readers can tell it from blue, orange and red robots."""
 ELLIPSOID = (0.80, 0.47, 0.65, 0.35)
 SIGMAS = 3.0
 """Semi-axes of the ellipsoid in standard deviations."""
 THINNEST = 5e-3
-"""Least semi-axis drawn, as part of the robot's size: a planar robot's ellipsoid is flat."""
-_AMBIENT, _DIFFUSE = 0.4, 0.8  # of the headlight where it is the only light
-_SWELL = 1.015  # a ghost exactly on the truth would fight with it for the same pixels
+"""Smallest semi-axis drawn over the robot's size: a planar robot's ellipsoid is flat."""
+_AMBIENT, _DIFFUSE = 0.4, 0.8  # of the headlight, if the model has no other light
+_SWELL = 1.015  # surfaces of equal depth would flicker where the ghost is on the truth
 
 
 def lit(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy to draw; the headlight is brighter where the model has no light of its own.
+    """A copy of the model to draw, with a brighter headlight if the model has no light.
 
-    MuJoCo's headlight alone leaves a robot without a floor nearly black, and hidden by its ghost.
+    With MuJoCo's default headlight only, a robot without a floor is nearly black.
     """
     model = copy.copy(model)
     if model.nlight == 0:
@@ -48,11 +48,11 @@ def add_belief(
     """Append the ghost at an estimate and the ellipsoids of its position covariance to a scene.
 
     Args:
-        scene: to append to.
+        scene: the scene.
         model: the robot.
-        data: scratch; the estimate is put into it.
-        estimate: x̂ `(nx,)`; nothing is appended where it is not finite.
-        cov: P `(n, n)`, in the tangent at the estimate; no ellipsoids without it.
+        data: working memory; the estimate is written into it.
+        estimate: x̂ `(nx,)`; nothing is appended if it is not finite.
+        cov: P `(n, n)`, in the tangent at the estimate; no ellipsoids if None.
         option: as in `add_ghost`.
 
     Returns:
@@ -81,11 +81,11 @@ def add_ghost(
     Call it after `mjv_updateScene` (or `Renderer.update_scene`), which clears the scene.
 
     Args:
-        scene: to append to.
+        scene: the scene.
         model: the robot.
         data: the pose, after `mj_forward` or `mj_kinematics`.
         rgba: colour and opacity.
-        option: what is visible; MuJoCo's defaults without sites, tendons and the like.
+        option: visible elements; default `plain()`.
 
     Returns:
         Indices of the new geoms in `scene.geoms`.
@@ -116,15 +116,18 @@ def add_ellipsoid(
     sigmas: float = SIGMAS,
     smallest: float = 1e-3,
 ) -> int | None:
-    """Append the ellipsoid of a 3-D covariance; its index, or None where the scene is full.
+    """Append the ellipsoid of a 3-D covariance to a scene.
 
     Args:
-        scene: to append to.
-        centre: `(3,)` m.
-        cov: `(3, 3)` m².
+        scene: the scene.
+        centre: centre of the ellipsoid `(3,)`, m.
+        cov: covariance of the position `(3, 3)`, m².
         rgba: colour and opacity.
         sigmas: semi-axes in standard deviations.
-        smallest: least semi-axis, m, so that a flat ellipsoid is still seen.
+        smallest: smallest semi-axis, m, so that a flat ellipsoid is visible.
+
+    Returns:
+        Index of the ellipsoid in `scene.geoms`; None if the scene is full or a value not finite.
     """
     if scene.ngeom >= scene.maxgeom or not (np.isfinite(cov).all() and np.isfinite(centre).all()):
         return None
@@ -144,9 +147,10 @@ def add_ellipsoid(
 
 
 def tips(model: mujoco.MjModel) -> tuple[int, ...]:
-    """Bodies whose position covariance is worth drawing, one a kinematic tree.
+    """Bodies whose position covariance is drawn, one per kinematic tree.
 
-    The body of a free joint; in a tree fixed to the world, the end of its longest chain.
+    The body is that of the free joint, or in a tree that is fixed to the world the end of the
+    longest chain.
     """
     depth = np.zeros(model.nbody, int)
     for body in range(1, model.nbody):
@@ -166,12 +170,13 @@ def position_covariance(
 ) -> tuple[Array, Array]:
     """Centre of mass of a body `(3,)` m and its covariance `(3, 3)` m².
 
-    J P J' with the Jacobian of the position by the pose's tangent and P's first `(nv, nv)` block.
+    The covariance is J P Jᵀ with the Jacobian J of the position with respect to the tangent of the
+    pose, and the first `(nv, nv)` block of P.
 
     Args:
         model: the robot.
         data: the estimated pose, after `mj_forward`.
-        body: index.
+        body: index of the body.
         cov: P `(n, n)`, n >= nv, in the tangent at the estimate.
     """
     jacobian = np.zeros((3, model.nv))
@@ -180,7 +185,7 @@ def position_covariance(
 
 
 def pose(model: mujoco.MjModel, data: mujoco.MjData, x: Array) -> None:
-    """Put a state `(nx,)` into data and compute where the bodies are."""
+    """Write a state `(nx,)` into data and compute the poses of the bodies."""
     data.qpos[:] = x[: model.nq]
     data.qvel[:] = x[model.nq : model.nq + model.nv]
     mujoco.mj_kinematics(model, data)
@@ -190,7 +195,7 @@ def pose(model: mujoco.MjModel, data: mujoco.MjData, x: Array) -> None:
 
 
 def plain() -> mujoco.MjvOption:
-    """What is visible: geoms of the default groups, no sites."""
+    """Visible elements: geoms of the default groups, no sites."""
     option = mujoco.MjvOption()
     option.sitegroup[:] = 0
     return option

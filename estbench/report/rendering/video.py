@@ -1,4 +1,4 @@
-"""`estbench video`: truth, ghost and covariance, and NEES in step with them under the picture."""
+"""`estbench video`: truth, ghost and covariance, with a chart of NEES under the picture."""
 
 import io
 import math
@@ -28,18 +28,18 @@ FORMATS = (".mp4", ".gif", ".png")
 MOST_FRAMES = 20_000
 _INK, _SOFT, _LINE, _BAND = (27, 31, 36), (87, 96, 106), (0, 114, 178), (228, 228, 228)
 _CURSOR, _PAPER, _FUTURE = (213, 94, 0), (255, 255, 255), (160, 190, 210)
-_FINE = 2  # the chart is drawn so many times larger and then reduced: smooth lines
+_FINE = 2  # the chart is drawn larger by this factor and then reduced, for smooth lines
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a video looks.
+    """Size and speed of a video.
 
     Attributes:
-        width, height: of the robot's picture, pixels, even; the chart comes under it.
-        fps: frames a second.
-        speed: seconds of the run a second of the video.
-        camera: of the model; default as in `Renderer`.
+        width, height: size of the robot's picture, even numbers of pixels; the chart is below it.
+        fps: frames per second.
+        speed: seconds of the run per second of the video.
+        camera: name of a camera of the model; default as in `Renderer`.
     """
 
     width: int = 640
@@ -64,7 +64,11 @@ class Look:
 
 
 def frame_steps(times: Array, fps: float, speed: float = 1.0) -> NDArray[np.intp]:
-    """Index of the instant that each frame shows: the last one that is not after the frame."""
+    """Index `(frame,)` of the instant that each frame shows: the last one before or at its time.
+
+    Raises:
+        EstbenchError: more than `MOST_FRAMES` frames.
+    """
     count = math.floor((times[-1] - times[0]) * fps / speed + 1e-9) + 1
     if count > MOST_FRAMES:
         raise EstbenchError(
@@ -80,17 +84,17 @@ def write(
     """Write a video (`.mp4`, `.gif`) or, with `at`, one frame of it (`.png`).
 
     Args:
-        run: what is shown.
-        path: the file; its suffix says the format.
+        run: the run to show.
+        path: the file; its suffix gives the format.
         look: size and speed.
-        at: s; the time of a `.png`.
-        say: called with the frames done and the frames in all.
+        at: time of a `.png`, s.
+        say: called with the count of finished frames and of all frames.
 
     Returns:
-        How many frames were written.
+        Count of the frames that were written.
 
     Raises:
-        RenderError: nothing can be drawn here.
+        RenderError: this machine cannot draw.
         MissingExtraError: the encoder is not installed.
         EstbenchError: an unknown format, or no such time.
     """
@@ -118,7 +122,13 @@ def write(
 
 
 def check(path: Path, at: float | None) -> None:
-    """Refuse a file that could not be written, before anything is simulated or drawn."""
+    """Refuse a file that cannot be written, before anything is simulated or drawn.
+
+    Raises:
+        EstbenchError: an unknown format, or `at` without a `.png` or the reverse.
+        StoreError: the folder does not exist or cannot be written.
+        MissingExtraError: the encoder is not installed.
+    """
     kind = path.suffix.lower()
     if kind not in FORMATS:
         raise EstbenchError(f"--out {path}: no such format; use {', '.join(FORMATS)}")
@@ -130,7 +140,7 @@ def check(path: Path, at: float | None) -> None:
 
 
 def clip(run: Replay, look: Look) -> tuple[bytes, bytes]:
-    """An mp4, and its middle frame as a JPEG, for the report."""
+    """A video as MP4 and its middle frame as JPEG, for the report."""
     steps = frame_steps(run.times, look.fps, look.speed)
     pictures = list(frames(run, steps, look))
     poster = io.BytesIO()
@@ -154,8 +164,8 @@ class Chart:
     """NEES/n of a run over time with the band of a single run, and a cursor.
 
     Args:
-        run: what is charted.
-        width, height: pixels.
+        run: the run to show.
+        width, height: size of the chart, pixels.
     """
 
     def __init__(self, run: Replay, width: int, height: int):
@@ -181,11 +191,11 @@ class Chart:
         return self.left + (np.asarray(time) - first) / (last - first) * (self.right - self.left)
 
     def y(self, nees: Array | float) -> Array:
-        """Pixel row of NEES/n, on a logarithmic axis; what does not fit is put on the edge."""
+        """Pixel row of NEES/n, on a logarithmic axis; values outside are clipped to its ends."""
         low, high = self._log
         with np.errstate(invalid="ignore", divide="ignore"):
-            part = np.clip((np.log10(nees) - low) / (high - low), 0.0, 1.0)
-        return self.bottom - part * (self.bottom - self.top)
+            share = np.clip((np.log10(nees) - low) / (high - low), 0.0, 1.0)
+        return self.bottom - share * (self.bottom - self.top)
 
     def draw(self, step: int) -> NDArray:
         """The chart `(height, width, 3)` up to an instant."""
@@ -200,12 +210,13 @@ class Chart:
         return np.asarray(image.resize(self._size, Image.Resampling.BOX))
 
     def _curve(self, pen: "ImageDraw.ImageDraw", stop: int, colour: tuple[int, int, int]) -> None:
+        """Draw NEES/n of the first `stop` instants."""
         points = [p for p, good in zip(self._points[:stop], self._valid) if good]
         if len(points) > 1:
             pen.line(points, fill=colour, width=round(1.2 * _FINE), joint="curve")
 
     def _title(self) -> str:
-        """What is shown, as long as it leaves room for the time and NEES of a frame."""
+        """The longest title that leaves room for the time and NEES of a frame."""
         run = self.run
         short = f"{run.label}, run {run.run}"
         room = (self.right - self.left) * _FINE - self._font.getlength(_moment(-999.99, 1.23e-10))
@@ -213,6 +224,7 @@ class Chart:
         return next((t for t in titles if self._font.getlength(t) < room), "")
 
     def _axes(self, pen: "ImageDraw.ImageDraw") -> None:
+        """Draw what all frames share: band, pale curve, title, ticks and axes."""
         f, run = _FINE, self.run
         band = [float(self.y(v)) * f for v in run.band]
         pen.rectangle([self.left * f, band[1], self.right * f, band[0]], fill=_BAND)
@@ -248,6 +260,7 @@ class Chart:
 
 
 def _moment(time: float, nees: float) -> str:
+    """Time in s and NEES/n of a frame as text."""
     return (
         f"t = {time:.2f} s   NEES/n = {nees:.3g}"
         if np.isfinite(nees)
@@ -260,6 +273,11 @@ def _font(size: int) -> "ImageFont.FreeTypeFont | ImageFont.ImageFont":
 
 
 def _encoder() -> None:
+    """Refuse an MP4 without its encoder.
+
+    Raises:
+        MissingExtraError: imageio-ffmpeg is not installed.
+    """
     try:
         import imageio_ffmpeg  # noqa: F401
     except ImportError:

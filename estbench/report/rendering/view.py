@@ -1,4 +1,4 @@
-"""`estbench view`: the player in a browser (MuJoCo's web viewer, on loopback) or in a window."""
+"""`estbench view`: the player in a browser (MuJoCo's web viewer on loopback) or in a window."""
 
 import socket
 import sys
@@ -33,20 +33,20 @@ def watch(
     window: bool = False,
     overrides: Sequence[str] = (),
 ) -> None:
-    """Show truth and estimate until the viewer is closed or Ctrl-C.
+    """Show truth and estimate until the viewer is closed or Ctrl-C is pressed.
 
     Args:
         source: bundled name, TOML or MJCF path.
         estimator: label; default the first.
         run: number of the first run.
-        port: of the web page; 0 takes the first free one from 8080.
-        window: a desktop window in place of the page.
+        port: port of the web page; 0 takes the first free one from 8080.
+        window: whether to open a desktop window instead of the page.
         overrides: `section.key=value` strings.
 
     Raises:
         WindowError: there is no display.
         ViewError: this MuJoCo has no web viewer.
-        EstbenchError: anything wrong with the scenario.
+        EstbenchError: a mistake in the scenario.
     """
     player = Player(source, estimator, run, overrides)
     try:
@@ -56,21 +56,21 @@ def watch(
 
 
 class Ghost:
-    """The ghost and the ellipsoids of the instant that a player shows, as geoms."""
+    """The ghost and the ellipsoids at the instant that a player shows."""
 
     def __init__(self, model: mujoco.MjModel):
         self.model = model
         self._data = mujoco.MjData(model)
 
     def update(self, player: Player, scene: mujoco.MjvScene) -> None:
-        """Fill a scene with them."""
+        """Replace the geoms of a scene by the ghost and the ellipsoids."""
         replay, step = player.replay, player.step
         scene.ngeom = 0
         add_belief(scene, self.model, self._data, replay.estimate[step], replay.cov[step])
 
 
 def _place(player: Player, data: mujoco.MjData) -> None:
-    """Put the truth that is shown into data."""
+    """Write the true state that the player shows into data."""
     replay, step = player.replay, player.step
     x, nq, nv = replay.truth[step], replay.model.nq, replay.model.nv
     if np.isfinite(x).all():
@@ -79,7 +79,7 @@ def _place(player: Player, data: mujoco.MjData) -> None:
 
 
 def _clock() -> Callable[[], float]:
-    """Seconds since it was last asked, at most 0.1: a stalled viewer must not make time leap."""
+    """A function that returns the seconds since its last call, at most 0.1 after a delay."""
     last = time.monotonic()
 
     def passed() -> float:
@@ -92,7 +92,11 @@ def _clock() -> Callable[[], float]:
 
 
 def _page(player: Player, port: int) -> None:
-    """Serve MuJoCo's web viewer on loopback."""
+    """Serve MuJoCo's web viewer on loopback until it is closed.
+
+    Raises:
+        ViewError: there is no web viewer, or the page cannot be served.
+    """
     try:
         from mujoco.studio import launch_web, messages, plugin, viewer_protocol
         from mujoco.studio.dear_imgui import dear_imgui as imgui
@@ -106,7 +110,7 @@ def _page(player: Player, port: int) -> None:
     scene = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + model.nbody + 10)
 
     class Overlay(plugin.ViewerPlugin):
-        """The ghost, a panel of words and buttons, and the keys."""
+        """The ghost, a panel of text and buttons, and the keys."""
 
         def __init__(self) -> None:
             self._looked = False
@@ -157,13 +161,13 @@ def _page(player: Player, port: int) -> None:
 
 @contextmanager
 def _loopback_only() -> Iterator[str]:
-    """Have MuJoCo's web viewer listen on loopback: by default it serves the whole network.
+    """Make MuJoCo's web viewer listen on loopback only; by default it serves the whole network.
 
-    It announces its port when it is bound and listens later; until then another viewer can bind the
-    same port (`SO_REUSEADDR`). So the socket listens at once.
+    The viewer binds its port, announces it and listens later; until then another viewer can bind
+    the same port (`SO_REUSEADDR`). Therefore the socket listens as soon as it is bound.
 
     Raises:
-        ViewError: this MuJoCo's viewer is made another way, so that it cannot be kept private.
+        ViewError: the viewer of this MuJoCo cannot be restricted to loopback.
     """
     from mujoco.studio import web_viewer
     from mujoco.studio.web import web_server
@@ -184,7 +188,7 @@ def _loopback_only() -> Iterator[str]:
             try:
                 sock.listen()
                 return sock
-            except OSError:  # another viewer listens there since; `bind` will now see it
+            except OSError:  # another viewer listens by now, and `bind` takes the next port
                 sock.close()
 
     replaced: Any = web_server
@@ -198,7 +202,7 @@ def _loopback_only() -> Iterator[str]:
 
 
 def _imgui_keys(imgui: Any) -> dict[str, Any]:
-    """Characters of `COMMANDS` -> keys of Dear ImGui."""
+    """Character of `COMMANDS` -> key of Dear ImGui."""
     key = imgui.Key
     return {
         " ": key.Space, "[": key.LeftBracket, "]": key.RightBracket, "-": key.Minus,
@@ -207,7 +211,7 @@ def _imgui_keys(imgui: Any) -> dict[str, Any]:
 
 
 def _window(player: Player, port: int) -> None:
-    """MuJoCo's desktop viewer."""
+    """Show MuJoCo's desktop viewer until it is closed."""
     model = lit(player.replay.model)
     data, ghost, passed = mujoco.MjData(model), Ghost(model), _clock()
 

@@ -1,4 +1,4 @@
-"""MuJoCo's desktop viewer, or a line that says why there can be none."""
+"""MuJoCo's desktop viewer, and an error that explains why it cannot open."""
 
 import os
 import sys
@@ -13,21 +13,21 @@ from estbench.errors import EstbenchError
 
 
 class WindowError(EstbenchError):
-    """No window can be opened here."""
+    """No window can be opened on this machine."""
 
 
 class Window:
-    """MuJoCo's viewer without its panels; it draws in a thread of its own.
+    """MuJoCo's viewer without its panels; it draws in its own thread.
 
     Args:
         model: the robot.
         data: the pose that `viewer.sync()` shows.
-        remedy: what to do without a display, the end of the message.
-        camera: what it looks through at first.
+        remedy: end of the error message: what to do without a display.
+        camera: the camera at the start.
         key: called with the code of each key.
 
     Attributes:
-        viewer: MuJoCo's handle.
+        viewer: handle of MuJoCo's viewer.
 
     Raises:
         WindowError: there is no display, or GLFW cannot open it.
@@ -59,17 +59,17 @@ class Window:
         self.close()
 
     def close(self) -> None:
-        """Close it and wait for its last frame: one that is drawn as Python ends would hang it."""
+        """Close the window and wait for its threads; one that draws would block Python's exit."""
         self.viewer.close()
         for thread in self._threads:
             thread.join(5.0)
 
 
 def start(remedy: str) -> None:
-    """Start GLFW, here: in the viewer's thread its failure would be waited for for ever.
+    """Start GLFW in this thread: if it failed in the viewer's thread, MuJoCo would wait for ever.
 
     Args:
-        remedy: what to do without a display, the end of the message.
+        remedy: end of the error message: what to do without a display.
 
     Raises:
         WindowError: there is no display, or GLFW cannot open it.
@@ -81,9 +81,9 @@ def start(remedy: str) -> None:
         import glfw
 
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW warns of what is raised below
+            warnings.simplefilter("ignore")  # the error below says the same
             started = glfw.init()
-    except Exception as error:  # a missing library, or whatever GLFW raises
+    except Exception as error:  # a missing library, or any error of GLFW
         reason = " ".join(str(error).split())
         raise WindowError(f"a window needs GLFW: {reason}; {remedy}") from None
     if not started:

@@ -15,6 +15,8 @@ from estbench.experiment import setup
 from estbench.report.rendering import player, replay, scene, view, window
 from estbench.report.rendering.player import Player, Settings
 
+DENSITY = "channels.encoder.noise_density=0.001"
+
 
 @pytest.fixture
 def playing():
@@ -23,7 +25,7 @@ def playing():
     made.close()
 
 
-def apply_correction(playing):
+def wait(playing):
     end = time.monotonic() + 20
     while playing.busy and time.monotonic() < end:
         playing.advance(0.0)
@@ -52,7 +54,7 @@ def test_q_changes_the_estimate_but_not_the_truth(playing):
     playing.advance(0.2)
     for _ in range(2):
         playing.command("q+")
-    apply_correction(playing)
+    wait(playing)
     assert playing.settings == Settings(3, 1.0, 4.0)
     np.testing.assert_array_equal(playing.replay.truth, before.truth)
     assert np.trace(playing.replay.cov[-1]) > np.trace(before.cov[-1])
@@ -67,15 +69,25 @@ def test_noise_is_scaled_in_robot_and_filter(playing):
     for channel in prepared.channels:
         np.testing.assert_allclose(channel.cov, 4 * playing._channels[channel.name])
     playing.command("noise+")
-    apply_correction(playing)
+    wait(playing)
     low, high = playing.replay.band
     assert playing.settings.noise == 2.0
     assert low < playing.replay.nees[1:].mean() < high
 
 
+def test_noise_is_scaled_where_the_scenario_gives_a_density():
+    made = Player("pendulum", "ekf", 0, ["simulation.duration=0.1", DENSITY])
+    try:
+        louder = setup.build(player.scaled(made._scenario, made._channels, Settings(0, noise=2.0)))
+    finally:
+        made.close()
+    for channel in louder.channels:
+        np.testing.assert_allclose(channel.cov, 4 * made._channels[channel.name], rtol=1e-12)
+
+
 def test_the_next_run_follows(playing):
     playing.advance(1.0)
-    apply_correction(playing)
+    wait(playing)
     assert (playing.replay.run, playing.time) == (4, 0.0)
     expected = replay.replay("pendulum", 4, "ekf", ["simulation.duration=0.5"])
     np.testing.assert_array_equal(playing.replay.estimate, expected.estimate)
@@ -87,7 +99,7 @@ def test_a_run_that_cannot_be_simulated_is_said(playing, monkeypatch):
 
     monkeypatch.setattr(playing, "_simulate", fail)
     playing.command("q-")
-    apply_correction(playing)
+    wait(playing)
     assert playing.lines()[-1] == "no such thing"
     assert playing.paused
     assert playing.settings.q == 1.0

@@ -1,0 +1,103 @@
+"""The command `run`; what it needs is imported when it runs."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from estbench.commands.shared import (
+    Duration,
+    Estimators,
+    Json,
+    Overrides,
+    Scenario,
+    Seed,
+    console,
+    progress,
+    say,
+)
+from estbench.errors import ExecutorError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command(
+        epilog="Example: estbench run cartpole -e ekf -e ukf --runs 500 "
+        "--set filter.process_noise_scale=0.01"
+    )(run)
+
+
+def run(
+    scenario: Scenario,
+    estimator: Estimators = None,
+    runs: Annotated[int | None, typer.Option(help="count of Monte Carlo runs")] = None,
+    seed: Seed = None,
+    duration: Duration = None,
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option(help="results folder; default results/SCENARIO-TIME")
+    ] = None,
+    keep: Annotated[
+        Literal["auto", "summary", "diagonal", "full"],
+        typer.Option(
+            help="what is stored of every run: averages; + traces; + covariances and innovations; "
+            "auto: traces while they take less than 1 GiB"
+        ),
+    ] = "auto",
+    dtype: Annotated[
+        Literal["float64", "float32"] | None,
+        typer.Option(help="of the stored traces; default float64"),
+    ] = None,
+    resume: Annotated[bool, typer.Option(help="go on with --out: compute what is missing")] = False,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
+    ] = None,
+    executor: Annotated[
+        Literal["auto", "threads", "processes", "dask"],
+        typer.Option(
+            help="what computes the batches; auto: processes for long work on many CPUs, else "
+            "threads"
+        ),
+    ] = "auto",
+    address: Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="threads or processes; default: all CPUs, as memory allows"),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
+    from estbench.montecarlo import run as experiment
+    from estbench.store import zarr as store
+
+    resolved = experiment.resolve(scenario, estimator, runs, seed, duration, overrides or ())
+    continued = resume or shard is not None  # the folder exists: only the user can name it
+    folder = out if out is not None or continued else store.default_folder(resolved.name)
+    with progress(resolved.simulation.runs) as bar:
+        results = experiment.run(
+            resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=_shard(shard),
+            executor=executor, address=address, workers=workers, progress=bar,
+            say=lambda line: say(f"note: {line}"),
+        )  # fmt: skip
+    if as_json:
+        print(results.to_json())
+    else:
+        console().print(results.render())
+    if results.interrupted:
+        raise typer.Exit(130)
+    if results.failed:  # the notes name the missing runs and the cause
+        raise typer.Exit(1)
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    """`I/N` as a pair of integers.
+
+    Raises:
+        ExecutorError: the text has another form.
+    """
+    if text is None:
+        return None
+    numbers = text.split("/")
+    if len(numbers) != 2 or not all(number.isdecimal() for number in numbers):
+        raise ExecutorError(f"--shard is '{text}'; use I/N, e.g. 1/4")
+    return int(numbers[0]), int(numbers[1])

@@ -1,0 +1,69 @@
+"""Arguments, options and output that several commands share."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+Scenario = Annotated[
+    str, typer.Argument(help="bundled name, scenario .toml, MJCF .xml, or a results folder")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override the scenario; repeatable"),
+]
+Estimators = Annotated[
+    list[str] | None,
+    typer.Option("--estimator", "-e", help="name, label or package.module:Name; repeatable"),
+]
+Seed = Annotated[int | None, typer.Option(help="seed of all random numbers")]
+Duration = Annotated[float | None, typer.Option(help="length of each run, s")]
+Json = Annotated[bool, typer.Option("--json", help="print JSON in place of tables")]
+
+
+def console() -> Console:
+    """Standard output: colour and full width on a terminal only; 100 columns elsewhere."""
+    found = Console(highlight=False)
+    return found if found.is_terminal else Console(highlight=False, width=100)
+
+
+def say(line: str) -> None:
+    """Print one line on standard error at once."""
+    print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress(total: int) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on a terminal, one line every ten seconds elsewhere; both on standard error.
+
+    Args:
+        total: count of runs.
+
+    Yields:
+        A function of the finished runs and of all runs.
+    """
+    if sys.stderr.isatty():
+        columns = (
+            TextColumn("{task.completed:.0f}/{task.total:.0f} runs"),
+            BarColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("runs", total=total)
+            yield lambda done, total: bar.update(task, completed=done)
+        return
+    began = last = time.monotonic()
+
+    def line(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= 10 or (done == total and now - began > 2):
+            last = now
+            say(f"{done}/{total} runs, {now - began:.0f} s")
+
+    yield line
