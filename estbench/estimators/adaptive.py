@@ -15,7 +15,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import correct, mark_failed
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.spaces.patterns import expand
 
@@ -94,13 +94,15 @@ class AdaptiveEKF(EKF):
                 )
             object.__setattr__(self, attribute, values)
 
-    def init(self, mean: Array, cov: Array) -> AdaptiveBelief:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> AdaptiveBelief:
         """Start from mean `(run, nx)` and cov `(run, n, n)` with the model's own noise."""
         start, runs = super().init(mean, cov), len(mean)
         variance = np.full((runs, self.model.output().n), np.nan)
         return AdaptiveBelief(start.mean, start.cov, start.fault, variance, None, np.zeros(runs))
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> AdaptiveBelief:
+    def predict(
+        self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> AdaptiveBelief:
         """x̂⁻ = f(x̂⁺, u), P⁻ = Υ (α² Φ P⁺ Φᵀ + Q + Q_pseudo dt) Υᵀ."""
         prior = cast(AdaptiveBelief, belief)
         mean, F = self.model.transition_jacobian(prior.mean, u, t, dt)
@@ -119,11 +121,11 @@ class AdaptiveEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[AdaptiveBelief, Innovation]:
         """The EKF's update with the adapted R, then what it teaches about R and Q."""
         space, output = self.model.space, self.model.output(channels)

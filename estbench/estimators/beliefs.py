@@ -6,11 +6,10 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.protocol import Estimator
-from estbench.shapes import Array
+from estbench.shapes import Array, Faults, Float, Keys, UInt
 from estbench.spaces.manifold import Manifold
 
 
@@ -42,12 +41,14 @@ class Gaussian:
     A failed run has NaN in both and its `Fault` in `fault` `(run,)`; it stays failed.
     """
 
-    mean: Array
-    cov: Array
-    fault: NDArray[np.uint8]
+    mean: Float[Array, "run nx"]
+    cov: Float[Array, "run n n"]
+    fault: UInt[Faults, " run"]
 
 
-def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
+def check_prior(
+    space: Manifold | None, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]
+) -> None:
     """Refuse a prior that does not fit the state's manifold, where that is known.
 
     A covariance that is not positive semidefinite is no mistake here: its run is marked as failed.
@@ -64,7 +65,10 @@ def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
 
 
 def start(
-    estimator: Estimator, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
+    estimator: Estimator,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
+    keys: UInt[Keys, " run"] | None = None,
 ) -> Any:
     """The belief at the start; an estimator that draws random numbers gets a key `(run,)` each."""
     random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
@@ -74,15 +78,15 @@ def start(
 class GaussianEstimator:
     """Shared by the estimators whose belief is a `Gaussian`: init, mean and cov."""
 
-    def init(self, mean: Array, cov: Array) -> Gaussian:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Gaussian:
         """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
         check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
         return Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
 
-    def mean(self, belief: Gaussian) -> Array:
+    def mean(self, belief: Gaussian) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`."""
         return belief.mean
 
-    def cov(self, belief: Gaussian) -> Array:
+    def cov(self, belief: Gaussian) -> Float[Array, "run n n"]:
         """P `(run, n, n)`."""
         return belief.cov

@@ -14,7 +14,7 @@ from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.settings import names, table
 from estbench.models.augmented import Augmented
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 PerName = float | Sequence[float] | dict[str, float]
 
@@ -64,20 +64,20 @@ class BiasFilter(OverFilter):
         object.__setattr__(self, "_augmented", augmented)
         object.__setattr__(self, "_filter", filter)
 
-    def init(self, mean: Array, cov: Array) -> Any:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
         """Start from mean `(run, nx)` and cov `(run, n, n)`, with zero biases."""
         return self._filter.init(*self._augmented.augment(mean, cov))
 
-    def mean(self, belief: Any) -> Array:
+    def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)` without the biases."""
         return self._filter.mean(belief)[:, : self.model.space.nx]
 
-    def cov(self, belief: Any) -> Array:
+    def cov(self, belief: Any) -> Float[Array, "run n n"]:
         """P `(run, n, n)` without the biases."""
         n = self.model.space.n
         return self._filter.cov(belief)[:, :n, :n]
 
-    def biases(self, belief: Any) -> dict[str, tuple[Array, Array]]:
+    def biases(self, belief: Any) -> dict[str, tuple[Float[Array, " run"], Float[Array, " run"]]]:
         """Name -> estimate and standard deviation `(run,)` of each bias and unknown input."""
         names = self._augmented.space.names[self.model.space.n :]
         mean = self._filter.mean(belief)[:, self.model.space.nx :]

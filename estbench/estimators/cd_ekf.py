@@ -12,7 +12,7 @@ from estbench.estimators.ekf import EKF
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import mark_failed
 from estbench.models.continuous import ContinuousModel, integrate_moments, moment_rates
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import symmetrize
 
 MOST_STEPS = 1000
@@ -59,7 +59,7 @@ class ContinuousDiscreteEKF(EKF):
                     f"use a continuous model (ContinuousFunctionModel) or the estimator 'ekf'"
                 )
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
+    def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ = x̂(t + dt), P⁻ = Φ P⁺ Φᵀ + Q̄ (Bishop, eq. 11)."""
         if self.method == "rk4":
             mean, Phi, Q = integrate_moments(self.model, belief.mean, u, t, dt, self.substeps)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError, did_you_mean
 from estbench.estimators.beliefs import Gaussian
@@ -14,19 +13,19 @@ from estbench.estimators.linear import linear_update
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import names, one_of
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 Form = Literal["decorrelated", "multiplicative", "additive", "standard"]
 FORMS: tuple[Form, ...] = ("decorrelated", "multiplicative", "additive", "standard")
 
 
 def convert_range_bearing(
-    distance: Array,
-    bearing: Array,
+    distance: Float[Array, "*lead"],
+    bearing: Float[Array, "*lead"],
     std_range: Array | float,
     std_bearing: Array | float,
     form: Form = "multiplicative",
-) -> tuple[Array, Array]:
+) -> tuple[Float[Array, "*lead 2"], Float[Array, "*lead 2 2"]]:
     """Cartesian z `(..., 2)` and its R `(..., 2, 2)` from ranges and bearings `(...)` alone.
 
     r cos θ is too short on average by λ = exp(-σ²/2), since E cos(θ + w) = λ cos θ. R is that given
@@ -76,8 +75,11 @@ def convert_range_bearing(
 
 
 def predicted_noise(
-    position: Array, cov: Array, std_range: Array | float, std_bearing: Array | float
-) -> Array:
+    position: Float[Array, "*lead 2"],
+    cov: Float[Array, "*lead 2 2"],
+    std_range: Array | float,
+    std_bearing: Array | float,
+) -> Float[Array, "*lead 2 2"]:
     """R `(..., 2, 2)` of z = r (cos θ, sin θ)/λ over the noise and over the predicted position.
 
     With M = E p pᵀ: E z zᵀ - M = ½ e^σ² ((tr M + σ_r²) (1 - ε) I + 2 ε (1 + σ_r²/tr M) M) - M,
@@ -161,11 +163,11 @@ class ConvertedEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """The EKF's update, with the two rows replaced where range and bearing arrived."""
         space, output = self.model.space, self.model.output(channels)

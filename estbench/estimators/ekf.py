@@ -2,16 +2,13 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.linear import FORMS, Form, linear_update
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import one_of
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 
 
@@ -34,7 +31,7 @@ class EKF(GaussianEstimator):
     def __post_init__(self) -> None:
         one_of(self, "covariance_update", FORMS)
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
+    def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ = f(x̂⁺, u), P⁻ = Φ P⁺ Φᵀ + Q (Bishop, eq. 11)."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
@@ -44,11 +41,11 @@ class EKF(GaussianEstimator):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ K (y ⊖ h(x̂⁻)), K = P⁻ Hᵀ S⁻¹ (Bishop, eq. 17, 20)."""
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)

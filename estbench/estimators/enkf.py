@@ -13,7 +13,7 @@ from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import Correction, correct
 from estbench.models.protocol import Channels, Model
 from estbench.randomness import counter as random
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower_transposed, symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -30,10 +30,10 @@ class Ensemble:
         counter: how many predictions and arrived measurements there have been `(run,)`.
     """
 
-    points: Array
+    points: Float[Array, "run size nx"]
     keys: random.Keys
     counter: random.Keys
-    fault: NDArray[np.uint8]
+    fault: UInt[Faults, " run"]
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,16 @@ class EnKF:
         whole(self, "size", 2)
         in_range(self, "inflation", 1.0)
 
-    def init(self, mean: Array, cov: Array, keys: random.Keys | None = None) -> Ensemble:
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Ensemble:
         """Points of N(mean, cov); `keys` `(run,)` tell the runs apart (default 0, 1, ...)."""
         return _marked(Ensemble(*draw(self.model.space, mean, cov, self.size, keys)))
 
-    def predict(self, belief: Ensemble, u: Array, t: float, dt: float) -> Ensemble:
+    def predict(self, belief: Ensemble, u: Float[Array, "run nu"], t: float, dt: float) -> Ensemble:
         """xᵢ⁻ = f(xᵢ⁺, u) ⊞ wᵢ, wᵢ ~ N(0, Q), then deviations times `inflation`."""
         space, mean = self.model.space, self.mean(belief)
         points = diffuse(self.model, belief, mean, u, t, dt)
@@ -79,11 +84,11 @@ class EnKF:
     def update(
         self,
         belief: Ensemble,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Ensemble, Innovation]:
         """Every point moved along K = Pxy S⁻¹, in the tangent at the ensemble's mean."""
         space, output = self.model.space, self.model.output(channels)
@@ -114,12 +119,12 @@ class EnKF:
         )
         return _marked(posterior, c.fault), c.innovation
 
-    def mean(self, belief: Ensemble) -> Array:
+    def mean(self, belief: Ensemble) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, the ensemble's mean on the manifold."""
         mean = self._centre(self.model.space, belief.points)
         return np.where(belief.fault[:, None] > 0, np.nan, mean)
 
-    def cov(self, belief: Ensemble) -> Array:
+    def cov(self, belief: Ensemble) -> Float[Array, "run n n"]:
         """P `(run, n, n)`, the ensemble's covariance (divisor size - 1) in the tangent at x̂."""
         deviation = self.model.space.minus(belief.points, self.mean(belief)[:, None])
         return symmetrize(self._cross(deviation, deviation))
@@ -133,8 +138,12 @@ class EnKF:
 
 
 def draw(
-    space: Manifold, mean: Array, cov: Array, size: int, keys: random.Keys | None
-) -> tuple[Array, random.Keys, random.Keys, NDArray[np.uint8]]:
+    space: Manifold,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
+    size: int,
+    keys: random.Keys | None,
+) -> tuple[Float[Array, "run size nx"], random.Keys, random.Keys, UInt[Faults, " run"]]:
     """Points x̂ ⊞ N(0, P) `(run, size, nx)`, keys, counters and faults (P has no square root)."""
     check_prior(space, mean, cov)
     keys = random.default_keys(len(mean)) if keys is None else np.asarray(keys, np.uint64)
@@ -147,7 +156,14 @@ def draw(
     return space.plus(mean[:, None], error), keys, counter, fault
 
 
-def diffuse(model: Model, belief: Any, mean: Array, u: Array, t: float, dt: float) -> Array:
+def diffuse(
+    model: Model,
+    belief: Any,
+    mean: Float[Array, "run nx"],
+    u: Float[Array, "run nu"],
+    t: float,
+    dt: float,
+) -> Float[Array, "run size nx"]:
     """Each point's transition and its own process noise, N(0, Q) with Q at the mean."""
     points = model.transition(belief.points, u, t, dt)
     Q = np.asarray(model.process_noise(mean, u, t, dt))

@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, Gaussian, check_prior
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import mark_failed
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower
 from estbench.spaces.manifold import Manifold
 
@@ -20,12 +19,12 @@ class FactorBelief:
     A failed run has NaN in both and its `Fault` in `fault` `(run,)`.
     """
 
-    mean: Array
-    factor: Array
-    fault: NDArray[np.uint8]
+    mean: Float[Array, "run nx"]
+    factor: Float[Array, "run n n"]
+    fault: UInt[Faults, " run"]
 
     @property
-    def cov(self) -> Array:
+    def cov(self) -> Float[Array, "run n n"]:
         """P = L Lᵀ `(run, n, n)`."""
         return self.factor @ self.factor.mT
 
@@ -33,23 +32,26 @@ class FactorBelief:
 class FactorEstimator:
     """Shared by the square-root filters: init, mean and cov."""
 
-    def init(self, mean: Array, cov: Array) -> FactorBelief:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> FactorBelief:
         """Start from mean `(run, nx)` and cov `(run, n, n)`, which may be semidefinite."""
         check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
         factor = triangular(psd_root(cov))
         return factor_belief(mean, factor, np.zeros(len(mean), np.uint8), lost(factor, cov))
 
-    def mean(self, belief: FactorBelief) -> Array:
+    def mean(self, belief: FactorBelief) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`."""
         return belief.mean
 
-    def cov(self, belief: FactorBelief) -> Array:
+    def cov(self, belief: FactorBelief) -> Float[Array, "run n n"]:
         """P = L Lᵀ `(run, n, n)`."""
         return belief.cov
 
 
 def factor_belief(
-    mean: Array, factor: Array, fault: NDArray[np.uint8], new: NDArray[np.uint8] | None = None
+    mean: Float[Array, "run nx"],
+    factor: Float[Array, "run n n"],
+    fault: UInt[Faults, " run"],
+    new: UInt[Faults, " run"] | None = None,
 ) -> FactorBelief:
     """A belief with every run that is not finite, or has a `new` fault, set to NaN and marked."""
     checked = mark_failed(Gaussian(mean, factor, fault), new)
@@ -59,9 +61,9 @@ def factor_belief(
 def factor_settle(
     space: Manifold,
     prior: FactorBelief,
-    delta: Array,
-    factor: Array,
-    fault: NDArray[np.uint8] | None = None,
+    delta: Float[Array, "run n"],
+    factor: Float[Array, "run n k"],
+    fault: UInt[Faults, " run"] | None = None,
 ) -> FactorBelief:
     """The posterior x̂⁻ ⊞ δ with its factor carried to the new tangent, J L, made triangular."""
     if not space.flat:
@@ -69,14 +71,18 @@ def factor_settle(
     return factor_belief(space.plus(prior.mean, delta), factor, prior.fault, fault)
 
 
-def lost(factor: Array, ingredients: Array, code: Fault = Fault.COVARIANCE) -> NDArray[np.uint8]:
+def lost(
+    factor: Float[Array, "run n n"],
+    ingredients: Float[Array, "run ..."],
+    code: Fault = Fault.COVARIANCE,
+) -> UInt[Faults, " run"]:
     """The fault `(run,)` where a factor is not finite although what it was made of is."""
     failed = ~np.isfinite(factor).all(axis=(-2, -1))
     failed = failed & np.isfinite(ingredients).all(axis=(-2, -1))
     return np.where(failed, code, Fault.NONE).astype(np.uint8)
 
 
-def triangular(root: Array) -> Array:
+def triangular(root: Float[Array, "run n k"]) -> Float[Array, "run n n"]:
     """Lower L `(run, n, n)` with L Lᵀ = A Aᵀ for A `(run, n, k)`, k >= n, by QR of Aᵀ.
 
     The diagonal is not negative, so L is the Cholesky factor where A Aᵀ is positive definite.
@@ -86,7 +92,7 @@ def triangular(root: Array) -> Array:
     return (upper * sign[..., None]).mT
 
 
-def psd_root(a: Array) -> Array:
+def psd_root(a: Float[Array, "*lead n n"]) -> Float[Array, "*lead n n"]:
     """A square root S with S Sᵀ = A, `(n, n)` or `(run, n, n)`, of semidefinite matrices.
 
     Cholesky where there is a factor, else by eigenvalues. NaN where a matrix is not finite or has
@@ -103,7 +109,9 @@ def psd_root(a: Array) -> Array:
     return out if a.ndim == 3 else out[0]
 
 
-def noise_root(R: Array, mask: NDArray[np.bool_] | None, runs: int) -> Array:
+def noise_root(
+    R: Float[Array, "... m m"], mask: Bool[Mask, "run m"] | None, runs: int
+) -> Float[Array, "run m m"]:
     """The Cholesky factor of R `(run, m, m)`, that of the identity where nothing arrived."""
     if mask is not None:
         R = pad_absent(R, mask)
@@ -112,7 +120,9 @@ def noise_root(R: Array, mask: NDArray[np.bool_] | None, runs: int) -> Array:
 
 
 def factor_innovation(
-    residual: Array, root: Array, mask: NDArray[np.bool_] | None = None
+    residual: Float[Array, "run m"],
+    root: Float[Array, "run m m"],
+    mask: Bool[Mask, "run m"] | None = None,
 ) -> Innovation:
     """ν, S, L⁻¹ ν and NIS from ν `(run, m)`, zero where nothing arrived, and a factor of S."""
     white = solve_lower(root, residual[..., None])[..., 0]
@@ -126,7 +136,9 @@ def factor_innovation(
     return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof)
 
 
-def cholesky_update(factor: Array, vector: Array, weight: float = 1.0) -> Array:
+def cholesky_update(
+    factor: Float[Array, "run n n"], vector: Float[Array, "run n"], weight: float = 1.0
+) -> Float[Array, "run n n"]:
     """The Cholesky factor of L Lᵀ + w v vᵀ, all runs at once; NaN where that is not definite.
 
     Column by column: a plane rotation takes v's component into the diagonal for w > 0 (LINPACK

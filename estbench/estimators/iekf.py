@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
@@ -12,7 +11,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, whole
 from estbench.estimators.update import apply_correction, correct
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 
 
@@ -47,11 +46,11 @@ class IEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ δ; P⁺ by the last linearization; ν, S and NIS are those of the first."""
         space, output = self.model.space, self.model.output(channels)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
@@ -14,7 +13,7 @@ from estbench.estimators.protocol import Estimator, Innovation
 from estbench.estimators.settings import in_range, table
 from estbench.models.protocol import Channels, Model
 from estbench.models.scaled import ScaledNoise
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, solve_lower, symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -30,8 +29,8 @@ class Modes:
     """
 
     beliefs: tuple[Any, ...]
-    probability: Array
-    fault: NDArray[np.uint8]
+    probability: Float[Array, "run mode"]
+    fault: UInt[Faults, " run"]
 
 
 @dataclass(frozen=True)
@@ -77,14 +76,14 @@ class IMM:
         object.__setattr__(self, "_filters", filters)
         object.__setattr__(self, "_chain", self._markov_chain(len(filters)))
 
-    def init(self, mean: Array, cov: Array) -> Modes:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Modes:
         """Every mode starts from mean `(run, nx)` and cov `(run, n, n)`, all equally likely."""
         count = len(self._filters)
         beliefs = tuple(f.init(mean, cov) for f in self._filters)
         probability = np.full((len(mean), count), 1.0 / count)
         return self._settled(Modes(beliefs, probability, np.zeros(len(mean), np.uint8)))
 
-    def predict(self, belief: Modes, u: Array, t: float, dt: float) -> Modes:
+    def predict(self, belief: Modes, u: Float[Array, "run nu"], t: float, dt: float) -> Modes:
         """Mix the modes, then predict each by its model."""
         means, covs = self._moments(belief)
         joint = belief.probability[:, :, None] * self._chain  # P(was i, is j)
@@ -101,11 +100,11 @@ class IMM:
     def update(
         self,
         belief: Modes,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Modes, Innovation]:
         """Update each mode, then weight it by its likelihood N(ν; 0, S).
 
@@ -130,11 +129,11 @@ class IMM:
         prior = np.where(total > 0, prior / np.where(total > 0, total, 1.0), np.nan)
         return self._settled(posterior), _mixed_innovation(innovations, prior)
 
-    def mean(self, belief: Modes) -> Array:
+    def mean(self, belief: Modes) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, the mean of the mixture."""
         return combine(self.model.space, *self._moments(belief), belief.probability)[0]
 
-    def cov(self, belief: Modes) -> Array:
+    def cov(self, belief: Modes) -> Float[Array, "run n n"]:
         """P `(run, n, n)`, the covariance of the mixture."""
         return combine(self.model.space, *self._moments(belief), belief.probability)[1]
 
@@ -209,7 +208,12 @@ class IMM:
         return chain
 
 
-def combine(space: Manifold, means: Array, covs: Array, weight: Array) -> tuple[Array, Array]:
+def combine(
+    space: Manifold,
+    means: Float[Array, "run mode nx"],
+    covs: Float[Array, "run mode n n"],
+    weight: Float[Array, "run mode"],
+) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
     """Mean `(run, nx)` and covariance `(run, n, n)` of a Gaussian mixture on a manifold.
 
     A component of weight zero counts for nothing, even if it is not finite.
@@ -232,7 +236,7 @@ def combine(space: Manifold, means: Array, covs: Array, weight: Array) -> tuple[
     return mean, symmetrize((weight[..., None, None] * spread).sum(axis=1))
 
 
-def log_likelihood(innovation: Innovation) -> Array:
+def log_likelihood(innovation: Innovation) -> Float[Array, " run"]:
     """Log N(ν; 0, S) `(run,)`; what did not arrive has unit variance and counts for nothing."""
     diagonal = np.diagonal(cholesky(innovation.cov), axis1=-2, axis2=-1)
     constant = innovation.dof * np.log(2.0 * np.pi)

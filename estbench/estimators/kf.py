@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
@@ -13,7 +12,7 @@ from estbench.estimators.linear import linear_update
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -28,7 +27,7 @@ class FixedBelief(Gaussian):
             makes a new mapping, none is changed in place.
     """
 
-    point: Array
+    point: Float[Array, "#run nx"]
     jacobians: Mapping[Hashable, Array]
 
 
@@ -62,12 +61,14 @@ class KF(GaussianEstimator):
             )
         object.__setattr__(self, "u0", tuple(u0.tolist()))
 
-    def init(self, mean: Array, cov: Array) -> FixedBelief:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> FixedBelief:
         """Start from mean `(run, nx)`, which is also the operating point, and cov `(run, n, n)`."""
         start = super().init(mean, cov)
         return FixedBelief(start.mean, start.cov, start.fault, start.mean, {})
 
-    def predict(self, belief: FixedBelief, u: Array, t: float, dt: float) -> FixedBelief:
+    def predict(
+        self, belief: FixedBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> FixedBelief:
         """x̂⁻ and P⁻ = F P⁺ Fᵀ + Q (source 003, eq. 2)."""
         model, point, key = self.model, belief.point, f"{dt:.9g}"
         if key not in belief.jacobians:
@@ -84,11 +85,11 @@ class KF(GaussianEstimator):
     def update(
         self,
         belief: FixedBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FixedBelief, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ) (source 003, eq. 3-4), the covariance in Joseph's form."""
         model, point = self.model, belief.point
@@ -108,8 +109,13 @@ class KF(GaussianEstimator):
 
 
 def tangent_map(
-    source: Manifold, target: Manifold, x: Array, point: Array, image: Array, slope: Array
-) -> tuple[Array, Array]:
+    source: Manifold,
+    target: Manifold,
+    x: Float[Array, "run nx"],
+    point: Float[Array, "run nx"],
+    image: Float[Array, "run ny"],
+    slope: Float[Array, "run m n"],
+) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
     """A function replaced by its tangent at a point: image ⊞ M (x ⊖ point), and its Jacobian at x.
 
     On a curved space M acts between the tangents at the point and at its image; the Jacobian acts

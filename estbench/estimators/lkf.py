@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.kf import tangent_map
@@ -13,7 +12,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import quadratic_form, symmetrize
 
 
@@ -26,8 +25,8 @@ class NominalBelief(Gaussian):
         handed: whether the run has been handed over to the EKF `(run,)`.
     """
 
-    nominal: Array
-    handed: NDArray[np.bool_]
+    nominal: Float[Array, "run nx"]
+    handed: Bool[Mask, " run"]
 
 
 @dataclass(frozen=True)
@@ -60,14 +59,16 @@ class LKF(GaussianEstimator):
         if self.handover_sigma is not None:
             in_range(self, "handover_sigma", 0.0)
 
-    def init(self, mean: Array, cov: Array) -> NominalBelief:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> NominalBelief:
         """Start from mean `(run, nx)`, which is also the nominal state, and cov `(run, n, n)`."""
         start = super().init(mean, cov)
         return NominalBelief(
             start.mean, start.cov, start.fault, start.mean, np.zeros(len(mean), bool)
         )
 
-    def predict(self, belief: NominalBelief, u: Array, t: float, dt: float) -> NominalBelief:
+    def predict(
+        self, belief: NominalBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> NominalBelief:
         """Move the nominal, x̂⁻ and P⁻ = Φ P⁺ Φᵀ + Q, with Φ and Q at x*."""
         model, belief = self.model, self._handed_over(belief, t)
         nominal, slope = model.transition_jacobian(belief.nominal, u, t, dt)
@@ -81,11 +82,11 @@ class LKF(GaussianEstimator):
     def update(
         self,
         belief: NominalBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[NominalBelief, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ), K from H at x*; the nominal stays."""
         model, belief = self.model, self._handed_over(belief, t)

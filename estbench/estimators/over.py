@@ -2,12 +2,9 @@
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.estimators.protocol import Estimator, Innovation
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 
 class OverFilter:
@@ -15,18 +12,18 @@ class OverFilter:
 
     _filter: Estimator
 
-    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+    def predict(self, belief: Any, u: Float[Array, "run nu"], t: float, dt: float) -> Any:
         """The filter's prediction."""
         return self._filter.predict(belief, u, t, dt)
 
     def update(
         self,
         belief: Any,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Any, Innovation]:
         """The filter's update."""
         return self._filter.update(belief, y, u, t, channels, mask)

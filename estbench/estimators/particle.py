@@ -12,7 +12,7 @@ from estbench.estimators.settings import in_range, whole
 from estbench.estimators.update import correct
 from estbench.models.protocol import Channels, Model
 from estbench.randomness import counter as random
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Keys, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -24,7 +24,7 @@ RESAMPLING, KERNEL = 3, 4
 class Particles(Ensemble):
     """Weighted points; `log_weights` `(run, particle)` are normalized, -inf for a dead particle."""
 
-    log_weights: Array
+    log_weights: Float[Array, "run size"]
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,19 @@ class ParticleFilter:
         in_range(self, "threshold", 0.0, 1.0)
         in_range(self, "regularization", 0.0)
 
-    def init(self, mean: Array, cov: Array, keys: random.Keys | None = None) -> Particles:
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Particles:
         """Particles of N(mean, cov); `keys` `(run,)` tell the runs apart (default 0, 1, ...)."""
         start = draw(self.model.space, mean, cov, self.size, keys)
         return _settled(Particles(*start, np.full((len(mean), self.size), -np.log(self.size))))
 
-    def predict(self, belief: Particles, u: Array, t: float, dt: float) -> Particles:
+    def predict(
+        self, belief: Particles, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Particles:
         """xᵢ⁻ = f(xᵢ⁺, u) ⊞ wᵢ, wᵢ ~ N(0, Q)."""
         points = diffuse(self.model, belief, self.mean(belief), u, t, dt)
         return _settled(replace(belief, points=points, counter=belief.counter + np.uint64(1)))
@@ -71,11 +78,11 @@ class ParticleFilter:
     def update(
         self,
         belief: Particles,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Particles, Innovation]:
         """Adds log N(y ⊖ h(xᵢ); 0, R) to log wᵢ, then resamples where it is due.
 
@@ -105,12 +112,12 @@ class ParticleFilter:
         weighted = replace(weighted, log_weights=logs)
         return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), c.innovation
 
-    def mean(self, belief: Particles) -> Array:
+    def mean(self, belief: Particles) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, the particles' weighted mean on the manifold."""
         mean = self.model.space.mean(belief.points, _weights(belief))
         return np.where(belief.fault[:, None] > 0, np.nan, mean)
 
-    def cov(self, belief: Particles) -> Array:
+    def cov(self, belief: Particles) -> Float[Array, "run n n"]:
         """P `(run, n, n)`, the particles' weighted covariance in the tangent at x̂."""
         return _covariance(self.model.space, belief, self.mean(belief))
 
@@ -143,7 +150,9 @@ class ParticleFilter:
         return space.plus(mean[:, None], kept + noise)
 
 
-def systematic(weights: Array, start: Array) -> NDArray[np.intp]:
+def systematic(
+    weights: Float[Array, "run point"], start: Array
+) -> Int[NDArray[np.intp], "run point"]:
     """Indices `(run, particle)` of the offspring: those where a comb of spacing 1/N falls.
 
     Arulampalam et al. 2002, alg. 2; all runs at once by counting the comb's teeth below each

@@ -4,11 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +20,11 @@ class Innovation:
         dof: how many components arrived `(run,)`.
     """
 
-    residual: Array
-    cov: Array
-    white: Array
-    nis: Array
-    dof: NDArray[np.int64]
+    residual: Float[Array, "run m"]
+    cov: Float[Array, "... m m"]
+    white: Float[Array, "run m"]
+    nis: Float[Array, " run"]
+    dof: Int[Ints, " run"]
 
 
 @runtime_checkable
@@ -37,22 +34,22 @@ class Estimator(Protocol):
     It is built as `Class(model, **settings)`. Methods are pure: they return new beliefs.
     """
 
-    def init(self, mean: Array, cov: Array) -> Any:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
         """The belief at the start from mean `(run, nx)` and covariance `(run, n, n)`."""
         ...
 
-    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
+    def predict(self, belief: Any, u: Float[Array, "run nu"], t: float, dt: float) -> Any:
         """The belief at t + dt, given the belief at t and the control `(run, nu)` held between."""
         ...
 
     def update(
         self,
         belief: Any,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Any, Innovation]:
         """The belief given the measurement y `(run, ny)` of `channels` at t.
 
@@ -60,11 +57,11 @@ class Estimator(Protocol):
         """
         ...
 
-    def mean(self, belief: Any) -> Array:
+    def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`."""
         ...
 
-    def cov(self, belief: Any) -> Array:
+    def cov(self, belief: Any) -> Float[Array, "run n n"]:
         """P `(run, n, n)` in the tangent at x̂."""
         ...
 
@@ -73,10 +70,10 @@ class Estimator(Protocol):
 class Measurement:
     """What arrived at one instant: y `(run, ny)` under u `(run, nu)`, as in `update`."""
 
-    y: Array
-    u: Array
+    y: Float[Array, "run ny"]
+    u: Float[Array, "run nu"]
     channels: Channels = None
-    mask: NDArray[np.bool_] | None = None
+    mask: Bool[Mask, "run m"] | None = None
 
 
 @dataclass(frozen=True, eq=False)

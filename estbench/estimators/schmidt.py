@@ -3,9 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import joseph
@@ -13,7 +10,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import names, one_of
 from estbench.estimators.update import apply_correction, correct
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.patterns import expand
 
@@ -54,11 +51,11 @@ class SchmidtEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ K ν and P⁺ in Joseph's form, with the considered rows of K at zero."""
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 
 
@@ -18,21 +18,27 @@ class SigmaPoints:
         cov_weights: `(point,)`.
     """
 
-    points: Array
-    mean_weights: Array
-    cov_weights: Array
+    points: Float[Array, "point n"]
+    mean_weights: Float[Array, " point"]
+    cov_weights: Float[Array, " point"]
 
-    def draw(self, space: Manifold, mean: Array, lower: Array) -> Array:
+    def draw(
+        self, space: Manifold, mean: Float[Array, "run nx"], lower: Float[Array, "run n n"]
+    ) -> Float[Array, "run point nx"]:
         """The points x̂ ⊞ L ξ `(run, point, nx)` for a factor L `(run, n, n)` of P."""
         return space.plus(mean[:, None], self.points @ lower.mT)
 
-    def moments(self, space: Manifold, values: Array) -> tuple[Array, Array, Array]:
+    def moments(
+        self, space: Manifold, values: Float[Array, "run point nx"]
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"], Float[Array, "run n n"]]:
         """Mean `(run, nx)`, residuals from it `(run, point, n)` and covariance `(run, n, n)`."""
         mean = space.mean(values, self.mean_weights)
         residual = space.minus(values, mean[:, None])
         return mean, residual, self.cross(residual, residual)
 
-    def cross(self, a: Array, b: Array) -> Array:
+    def cross(
+        self, a: Float[Array, "run point n"], b: Float[Array, "run point m"]
+    ) -> Float[Array, "run n m"]:
         """Σ wᵢ aᵢ bᵢᵀ `(run, n, m)` of residuals `(run, point, n)` and `(run, point, m)`."""
         return (a * self.cov_weights[:, None]).mT @ b
 

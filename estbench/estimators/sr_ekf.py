@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
@@ -19,7 +18,7 @@ from estbench.estimators.factors import (
 )
 from estbench.estimators.protocol import Innovation
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,9 @@ class SquareRootEKF(FactorEstimator):
 
     model: Model
 
-    def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
+    def predict(
+        self, belief: FactorBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> FactorBelief:
         """x̂⁻ = f(x̂⁺, u); L⁻ from QR of [Φ L⁺, Q^½]."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
@@ -50,11 +51,11 @@ class SquareRootEKF(FactorEstimator):
     def update(
         self,
         belief: FactorBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
         """QR takes [[R^½, H L⁻], [0, L⁻]] to [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)

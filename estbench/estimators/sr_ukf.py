@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
@@ -22,7 +21,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import solve_lower
 
 
@@ -54,7 +53,9 @@ class SquareRootUKF(FactorEstimator):
         rule = scaled(self.model.space.n, self.alpha, self.beta, self.kappa)
         object.__setattr__(self, "rule", rule)
 
-    def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
+    def predict(
+        self, belief: FactorBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> FactorBelief:
         """x̂⁻ and L⁻ from the propagated points, time update of algorithm 3.1."""
         space = self.model.space
         points = self.rule.draw(space, belief.mean, belief.factor)
@@ -68,11 +69,11 @@ class SquareRootUKF(FactorEstimator):
     def update(
         self,
         belief: FactorBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
         """K = (Pxy S^-ᵀ½) S^-½; L⁺ is L⁻ downdated by K S^½ (algorithm 3.1)."""
         space, output = self.model.space, self.model.output(channels)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
 from estbench.estimators.protocol import Innovation
@@ -11,7 +10,7 @@ from estbench.estimators.settings import scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.estimators.update import apply_correction, correct, mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, symmetrize
 
 
@@ -22,7 +21,7 @@ class SigmaBelief(Gaussian):
     `points` is `(run, point, nx)`, or None after an update or when the points are redrawn.
     """
 
-    points: Array | None = None
+    points: Float[Array, "run point nx"] | None = None
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,12 @@ class SigmaPointFilter(GaussianEstimator):
     redraw: bool = True
     rule: SigmaPoints = field(init=False, repr=False)
 
-    def init(self, mean: Array, cov: Array) -> Gaussian:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Gaussian:
         """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
         start = super().init(mean, cov)
         return SigmaBelief(start.mean, start.cov, start.fault)
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
+    def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ and P⁻ from the propagated points, P⁻ += Q (source 003, eq. 10)."""
         lower = cholesky(belief.cov)
         points = self.rule.draw(self.model.space, belief.mean, lower)
@@ -60,11 +59,11 @@ class SigmaPointFilter(GaussianEstimator):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """P⁺ = P⁻ - K S Kᵀ with Pxy, S from the points' images (source 003, eq. 11)."""
         space, output = self.model.space, self.model.output(channels)
@@ -87,7 +86,9 @@ class SigmaPointFilter(GaussianEstimator):
         return SigmaBelief(posterior.mean, posterior.cov, posterior.fault), c.innovation
 
 
-def failed_factor(lower: Array, cov: Array) -> NDArray[np.uint8]:
+def failed_factor(
+    lower: Float[Array, "run n n"], cov: Float[Array, "run n n"]
+) -> UInt[Faults, " run"]:
     """`Fault.COVARIANCE` `(run,)` where a finite covariance has no Cholesky factor."""
     failed = ~np.isfinite(lower[:, 0, 0]) & np.isfinite(cov[:, 0, 0])
     return np.where(failed, Fault.COVARIANCE, Fault.NONE).astype(np.uint8)

@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.protocol import Innovation
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
 from estbench.spaces.manifold import Manifold
 
@@ -27,25 +26,28 @@ class Correction:
         whitening: L⁻¹ `(run, m, m)`.
     """
 
-    delta: Array
+    delta: Float[Array, "run n"]
     innovation: Innovation
-    fault: NDArray[np.uint8]
-    white: Array
-    whitening: Array
+    fault: UInt[Faults, " run"]
+    white: Float[Array, "run m n"]
+    whitening: Float[Array, "run m m"]
 
     @cached_property
-    def gain(self) -> Array:
+    def gain(self) -> Float[Array, "run n m"]:
         """K = Wᵀ L⁻¹ `(run, n, m)`."""
         return self.white.mT @ self.whitening
 
     @cached_property
-    def reduction(self) -> Array:
+    def reduction(self) -> Float[Array, "run n n"]:
         """K S Kᵀ = Wᵀ W `(run, n, n)`, what the update takes from P."""
         return self.white.mT @ self.white
 
 
 def correct(
-    residual: Array, S: Array, cross: Array, mask: NDArray[np.bool_] | None = None
+    residual: Float[Array, "run m"],
+    S: Float[Array, "run m m"],
+    cross: Float[Array, "run n m"],
+    mask: Bool[Mask, "run m"] | None = None,
 ) -> Correction:
     """Condition on an innovation: K = Pxy S⁻¹ by Cholesky (source 003, eq. 3-4; Bishop, eq. 20).
 
@@ -85,9 +87,9 @@ def correct(
 def apply_correction(
     space: Manifold,
     prior: Gaussian,
-    delta: Array,
-    cov: Array,
-    fault: NDArray[np.uint8] | None = None,
+    delta: Float[Array, "run n"],
+    cov: Float[Array, "run n n"],
+    fault: UInt[Faults, " run"] | None = None,
 ) -> Gaussian:
     """The posterior x̂⁻ ⊞ δ with its covariance carried to the new tangent; failures marked."""
     return mark_failed(
@@ -95,7 +97,7 @@ def apply_correction(
     )
 
 
-def mark_failed(belief: Gaussian, fault: NDArray[np.uint8] | None = None) -> Gaussian:
+def mark_failed(belief: Gaussian, fault: UInt[Faults, " run"] | None = None) -> Gaussian:
     """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
     failed = np.count_nonzero(belief.fault) or (fault is not None and np.count_nonzero(fault))
     if not failed and surely_finite(belief.mean, belief.cov):

@@ -3,16 +3,17 @@
 Another engine is one more class with these methods, and one more case in `create`.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.robots.batch import BatchBackend
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int
 
 
+@runtime_checkable
 class Backend(Protocol):
     """Steps, sensor readings and rates of many states of one MuJoCo model, row by row.
 
@@ -35,8 +36,13 @@ class Backend(Protocol):
         ...
 
     def step(
-        self, x: Array, u: Array, t: float | Array, nstep: int, force: Array | None = None
-    ) -> Array:
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        nstep: int,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead nx"]:
         """States `(..., nx)` after `nstep` physics steps of the model's timestep.
 
         Args:
@@ -50,8 +56,13 @@ class Backend(Protocol):
         ...
 
     def read(
-        self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
-    ) -> Array:
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        stage: int,
+        columns: Int[NDArray[np.intp], " m"],
+    ) -> Float[Array, "*lead m"]:
         """Noise-free sensor readings `(..., len(columns))` at x, in the units of the sensors.
 
         Args:
@@ -64,7 +75,13 @@ class Backend(Protocol):
         """
         ...
 
-    def flow(self, x: Array, u: Array, t: float | Array, force: Array | None = None) -> Array:
+    def flow(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead n"]:
         """Rates ẋ = (q̇, q̈, ȧ) `(..., n)` at x by the whole forward dynamics, per s.
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space. The
@@ -72,7 +89,9 @@ class Backend(Protocol):
         """
         ...
 
-    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
+    def vary(
+        self, count: int, field: str, index: int | slice, values: Float[Array, "count ..."]
+    ) -> None:
         """Give each row its own value of a model parameter, in every later call of `count` rows.
 
         Args:

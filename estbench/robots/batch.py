@@ -13,7 +13,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from estbench.robots import flags, library
-from estbench.shapes import Array, Mask
+from estbench.shapes import Array, Float, Int, Mask
 from estbench.spaces.linalg import surely_finite
 
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -66,7 +66,9 @@ class BatchBackend:
         """Restore the settings of the MuJoCo library, unless another backend is open."""
         self._settings()
 
-    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
+    def vary(
+        self, count: int, field: str, index: int | slice, values: Float[Array, "count ..."]
+    ) -> None:
         """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
         if not self._varied:  # the parameter may be what switches a constraint on
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
@@ -77,8 +79,13 @@ class BatchBackend:
             batch.set_const()
 
     def step(
-        self, x: Array, u: Array, t: float | Array, nstep: int, force: Array | None = None
-    ) -> Array:
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        nstep: int,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead nx"]:
         """States `(..., nx)` after `nstep` physics steps.
 
         Args:
@@ -100,8 +107,13 @@ class BatchBackend:
         return out
 
     def read(
-        self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
-    ) -> Array:
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        stage: int,
+        columns: Int[NDArray[np.intp], " m"],
+    ) -> Float[Array, "*lead m"]:
         """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
         slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
         batch, _, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
@@ -111,7 +123,13 @@ class BatchBackend:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], len(columns))
 
-    def flow(self, x: Array, u: Array, t: float | Array, force: Array | None = None) -> Array:
+    def flow(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead n"]:
         """Rates (q̇, q̈, ȧ) `(..., 2 nv + na)` at x by the whole forward dynamics; see `step`.
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.

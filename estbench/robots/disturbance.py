@@ -21,7 +21,7 @@ import numpy as np
 from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
 from estbench.robots.layout import actuator_names
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_semidefinite, psd_factor, rescaled
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
@@ -44,8 +44,8 @@ class Disturbance:
     """
 
     kind: Kind
-    density: Array
-    factor: Array
+    density: Float[Array, "k k"]
+    factor: Float[Array, "k rank"]
     schedule: Callable[[float], float | Array] | None = None
     scale: float = 1.0
 
@@ -111,7 +111,7 @@ class Disturbance:
         density = np.asarray(first)  # of full rank: a coordinate may come to life later
         return replace(self, density=density, factor=psd_factor(density), schedule=schedule)
 
-    def root(self, t: float) -> Array:
+    def root(self, t: float) -> Float[Array, "k rank"]:
         """A square root of Q_s at t `(k, rank)`."""
         if self.schedule is None:
             return self.factor
@@ -129,14 +129,21 @@ class Disturbance:
             return self.scale * value
         return rescaled(self.density, np.sqrt(value))
 
-    def sample(self, white: Array, t: float, dt: float) -> Array:
+    def sample(self, white: Float[Array, "run rank"], t: float, dt: float) -> Float[Array, "run k"]:
         """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
         size = np.sqrt(dt) if self.kind == "additive" else np.sqrt(1.0 / dt)
         return white @ self.root(t).T * size
 
     def covariance(
-        self, backend: Backend, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
-    ) -> Array:
+        self,
+        backend: Backend,
+        space: Manifold,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+        dt: float,
+        nstep: int,
+    ) -> Float[Array, "... n n"]:
         """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
         if self.kind == "additive":
             return self._density(t) * dt
@@ -147,7 +154,14 @@ class Disturbance:
         response = space.minus(ends[:, 1:], ends[:, :1])
         return response.mT @ response
 
-    def intensity(self, backend: Backend, space: Manifold, x: Array, u: Array, t: float) -> Array:
+    def intensity(
+        self,
+        backend: Backend,
+        space: Manifold,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+    ) -> Float[Array, "... n n"]:
         """Q_s of the noise on ẋ, `(n, n)` or `(run, n, n)`, at x `(run, nx)`: G Q_s Gᵀ.
 
         G is the slope of ẋ over one standard deviation of the disturbance held for a physics step;

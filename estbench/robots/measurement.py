@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import ScenarioError, user_error_location
 from estbench.robots import layout
 from estbench.robots.backend import Backend
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int
 from estbench.spaces.manifold import Manifold, product
 
 StateFunction = Callable[[Array, Array, float], Array]
@@ -46,12 +46,14 @@ class Measurand:
         names, units = (tuple(values[i] for i in axes) for values in (space.names, space.units))
         return cls(Manifold(names, units), sensors, tuple(axes))
 
-    def columns(self, model: mujoco.MjModel) -> NDArray[np.intp]:
+    def columns(self, model: mujoco.MjModel) -> Int[NDArray[np.intp], " m"]:
         """Where the reading stands in sensordata."""
         columns = sensor_columns(model, self.sensors)
         return columns if self.axes is None else columns[list(self.axes)]
 
-    def call(self, x: Array, u: Array, t: float) -> Array:
+    def call(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
+    ) -> Float[Array, "*lead m"]:
         """The function at states `(..., nx)`, checked.
 
         Raises:
@@ -100,7 +102,9 @@ class Plan:
         reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position shows no velocity
         self.reach = reach[-1] if self._sources else reach[self._stage]
 
-    def read(self, backend: Backend, x: Array, u: Array, t: float) -> Array:
+    def read(
+        self, backend: Backend, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
+    ) -> Float[Array, "*lead ny"]:
         """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
         if self.known is not None:
             return x[..., self.known[0]]
@@ -138,7 +142,7 @@ def _coordinates(
     return pairs[:, 0], np.eye(2 * model.nv + model.na)[pairs[:, 1]]
 
 
-def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:
+def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> Int[NDArray[np.intp], " m"]:
     """Columns of sensordata that hold the sensors' readings, in order."""
     parts = [np.arange(model.sensor_dim[i]) + model.sensor_adr[i] for i in sensors]
     return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)

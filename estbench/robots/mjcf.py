@@ -15,7 +15,7 @@ from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots import added_sensors
 from estbench.robots.flags import set_flags
 from estbench.robots.parameters import changed
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -107,7 +107,9 @@ def compile_model(
     return model
 
 
-def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array]:
+def keyframe(
+    model: mujoco.MjModel, key: str | int | None
+) -> tuple[Float[Array, " nx"], Float[Array, " nu"]]:
     """State (qpos, qvel, act) `(nx,)` and control `(nu,)` of a keyframe.
 
     None takes the first keyframe, or without one qpos0 at rest and zero control.

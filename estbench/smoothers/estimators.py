@@ -14,7 +14,7 @@ from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
 from estbench.estimators.settings import in_range, table, whole
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
@@ -48,15 +48,15 @@ class FilterThenSmooth(OverFilter):
             )
         object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))
 
-    def init(self, mean: Array, cov: Array) -> Any:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
         """The filter's start."""
         return self._filter.init(mean, cov)
 
-    def mean(self, belief: Any) -> Array:
+    def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, filtered or smoothed."""
         return belief.mean if type(belief) is Gaussian else self._filter.mean(belief)
 
-    def cov(self, belief: Any) -> Array:
+    def cov(self, belief: Any) -> Float[Array, "run n n"]:
         """P `(run, n, n)`, filtered or smoothed."""
         return belief.cov if type(belief) is Gaussian else self._filter.cov(belief)
 

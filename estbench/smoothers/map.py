@@ -19,7 +19,7 @@ from estbench.estimators.linear import without_absent
 from estbench.estimators.protocol import Measurement
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 from estbench.smoothers.rts import check_lengths
 from estbench.spaces.linalg import quadratic_form, symmetrize
 from estbench.spaces.manifold import carry
@@ -40,8 +40,8 @@ class MapEstimate:
     """
 
     beliefs: list[Gaussian]
-    iterations: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    iterations: Int[Ints, " run"]
+    converged: Bool[Mask, " run"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +62,11 @@ class _System:
 def map_estimate(
     model: Model,
     prior: Gaussian,
-    controls: Sequence[Array],
+    controls: Sequence[Float[Array, "run nu"]],
     times: Sequence[float],
     measurements: Sequence[Sequence[Measurement]],
     *,
-    start: Sequence[Array] | None = None,
+    start: Sequence[Float[Array, "run nx"]] | None = None,
     iterations: int = 20,
     tolerance: float = 1e-9,
     covariance: bool = True,

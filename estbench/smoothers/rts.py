@@ -10,13 +10,16 @@ from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ukf import failed_factor
 from estbench.estimators.update import apply_correction
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import cholesky, solve_lower, solve_lower_transposed, symmetrize
 from estbench.spaces.manifold import Manifold
 
 
 def rts(
-    model: Model, posteriors: Sequence[Any], controls: Sequence[Array], times: Sequence[float]
+    model: Model,
+    posteriors: Sequence[Any],
+    controls: Sequence[Float[Array, "run nu"]],
+    times: Sequence[float],
 ) -> list[Gaussian]:
     """Smoothed beliefs at `times` from the filter's posteriors, backwards by the model's Jacobian.
 
@@ -48,7 +51,12 @@ def rts(
 
 
 def smooth_step(
-    space: Manifold, now: Gaussian, mean: Array, cov: Array, cross: Array, later: Gaussian
+    space: Manifold,
+    now: Gaussian,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
+    cross: Float[Array, "run n n"],
+    later: Gaussian,
 ) -> Gaussian:
     """One step backwards: G = cross P⁻⁻¹, x̂ˢ = x̂ ⊞ G (x̂ˢ₊ ⊖ x̂⁻), Pˢ = P + G (Pˢ₊ - P⁻) Gᵀ.
 
@@ -77,7 +85,9 @@ def gaussian(belief: Any) -> Gaussian:
     return Gaussian(belief.mean, belief.cov, belief.fault)
 
 
-def check_lengths(states: Sequence[Any], controls: Sequence[Array], times: Sequence[float]) -> None:
+def check_lengths(
+    states: Sequence[Any], controls: Sequence[Float[Array, "run nu"]], times: Sequence[float]
+) -> None:
     """Raise unless there is one state more than controls, and one a time."""
     if not len(states) == len(times) == len(controls) + 1:
         raise DimensionError(

@@ -6,7 +6,7 @@ from typing import Any
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.smoothers.rts import check_lengths, gaussian, smooth_step
 from estbench.spaces.linalg import cholesky, symmetrize
 
@@ -14,7 +14,7 @@ from estbench.spaces.linalg import cholesky, symmetrize
 def urts(
     model: Model,
     posteriors: Sequence[Any],
-    controls: Sequence[Array],
+    controls: Sequence[Float[Array, "run nu"]],
     times: Sequence[float],
     rule: SigmaPoints | None = None,
 ) -> list[Gaussian]:

@@ -12,7 +12,7 @@ import numpy as np
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
 from estbench.estimators.settings import scaled_rule
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 EPOCH = datetime(2000, 1, 1)
 """Stone Soup wants dates; any will do."""
@@ -33,14 +33,16 @@ class StoneSoupEKF(PeerFilter):
         """Import Stone Soup."""
         library()
 
-    def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
+    def predicted(self, x: Float[Array, " n"], P: Float[Array, "n n"], one: OneRun) -> Moments:
         """`predict` over one.dt."""
         prior = library().GaussianState(x[:, None], P, timestamp=EPOCH)
         predictor = self._predictor(library().Transition(one, x))
         out = predictor.predict(prior, timestamp=EPOCH + timedelta(seconds=one.dt))
         return _vector(out.state_vector), _matrix(out.covar)
 
-    def updated(self, x: Array, P: Array, y: Array, one: OneRun) -> tuple[Array, Array, Moments]:
+    def updated(
+        self, x: Float[Array, " n"], P: Float[Array, "n n"], y: Float[Array, " m"], one: OneRun
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Moments]:
         """`update` by a hypothesis of the one measurement."""
         soup = library()
         prior = soup.GaussianStatePrediction(x[:, None], P, timestamp=EPOCH)
