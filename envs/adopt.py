@@ -3,7 +3,7 @@
 import copy
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from estbench.robots import added_sensors, mjcf
 from estbench.robots.flags import set_flags
 from estbench.robots.layout import object_name
 from estbench.robots.library import engine
+from estbench.robots.model import Scale, SensorChannel
 from estbench.robots.parameters import SETTINGS
 from estbench.sensors import channel as channels_of
 from estbench.sensors.channel import Channel
@@ -34,14 +35,14 @@ class Adopted:
 
     Attributes:
         model: a copy that holds the sensors, with estbench's flags (see `models.mjcf`).
-        channels: sensors in use.
-        quiet: channels whose true reading has no noise.
+        channels: sensors in use, as they are.
+        believed: as a filter believes them.
         notices: what was assumed.
     """
 
     model: mujoco.MjModel
     channels: tuple[Channel, ...]
-    quiet: frozenset[str]
+    believed: tuple[SensorChannel, ...]
     notices: tuple[str, ...]
 
 
@@ -88,9 +89,9 @@ def adopt(
     sections, use, notices = kits.sections(sensors, model)
     # The environment is exact about its sensors, but R must be positive definite: a channel
     # declared without noise is read without noise, and trusted as much as a usual one.
-    quiet = frozenset(name for name, s in sections.items() if s.noise == 0.0)
+    exact = frozenset(name for name, s in sections.items() if s.noise == 0.0)
     sections = {
-        name: s.model_copy(update={"noise": None}) if name in quiet else s
+        name: s.model_copy(update={"noise": None}) if name in exact else s
         for name, s in sections.items()
     }
     added = {name: s.add for name, s in sections.items() if s.add is not None}
@@ -107,7 +108,16 @@ def adopt(
             )
     if notices:  # the default sensors: one line says it all
         assumed = [f"{notices[0]} {kits.summary(channels)}"]
-    return Adopted(copied, tuple(channels), quiet, tuple(assumed))
+    believed = [SensorChannel(c.name, -1, c.cov, _scale(c), c.measurand) for c in channels]
+    true = [
+        replace(c, cov=np.zeros_like(c.cov), schedule=None) if c.name in exact else c
+        for c in channels
+    ]
+    return Adopted(copied, tuple(true), tuple(believed), tuple(assumed))
+
+
+def _scale(channel: Channel) -> Scale | None:
+    return None if channel.schedule is None else channel.schedule.at
 
 
 def _file(env: Any, xml: str | Path | None) -> str:

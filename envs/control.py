@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from estbench.consistency.nees import Interval, mean_interval
 from estbench.envs.errors import EnvError
-from estbench.envs.keys import RowKeys
 from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean
 from estbench.montecarlo import run as experiment
@@ -29,8 +28,8 @@ TRUTH, RAW = "truth", "raw"
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
-    """The controller's fate on one source of states.
+class Outcome:
+    """The controller's fate on the states that it was shown.
 
     Attributes:
         label: `truth`, `raw` or an estimator's.
@@ -63,9 +62,9 @@ class Comparison:
     seed: int
     duration: float
     level: float
-    sources: tuple[Source, ...]
+    sources: tuple[Outcome, ...]
 
-    def __getitem__(self, label: str) -> Source:
+    def __getitem__(self, label: str) -> Outcome:
         return {s.label: s for s in self.sources}[label]
 
     def cost(self, label: str) -> Interval:
@@ -172,32 +171,27 @@ def _drive(
     control: Controller,
     seed: int,
     progress: Callable[[int], None] | None,
-) -> Source:
+) -> Outcome:
     """One episode of all runs, on the truth or on what the filter bank says."""
     runs, period = world.rows, world.setup.plant.period
-    keys = RowKeys(runs)
-    for row in range(runs):
-        keys.seed(row, seed + row)
-    every = np.ones(runs, bool)
-    world.reset(every, keys.draw(range(runs)))
-    bank = world.observer.bank
+    world.reset(np.arange(runs), seed, range(runs))
     total, count = np.zeros(runs), np.zeros(runs)
     failed_at = np.full(runs, np.nan)
-    seen = world.truth.x.copy()
+    seen = world.x.copy()
     for k in range(world.task.steps):
         alive = np.isnan(failed_at)
-        now = world.truth.x if bank is None else bank.estimate
+        now = world.x if world.filter is None else world.filter.estimate
         finite = np.isfinite(now).all(axis=-1)
         seen[finite] = now[finite]
         world.step(control(k, k * period, seen))
-        cost = world.task.cost(world.truth.x, world.u)
-        out = world.task.outside(world.truth.x) & alive
+        cost = world.task.cost(world.x, world.u)
+        out = world.task.outside(world.x) & alive
         total[alive] += np.nan_to_num(cost[alive])
         count[alive] += 1
         failed_at[out] = (k + 1) * period
         if progress is not None:
             progress(k + 1)
-    return Source(label, total / np.maximum(count, 1), ~np.isnan(failed_at), failed_at)
+    return Outcome(label, total / np.maximum(count, 1), ~np.isnan(failed_at), failed_at)
 
 
 def _plain(i: Interval) -> dict[str, float | None]:

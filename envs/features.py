@@ -7,8 +7,9 @@ import numpy as np
 from gymnasium import spaces
 
 from estbench.envs.errors import EnvError
-from estbench.envs.observer import Observer
 from estbench.errors import did_you_mean
+from estbench.inference.live import LiveFilter
+from estbench.sensors.suite import SensorSuite
 from estbench.shapes import Array
 
 Observe = Literal["state", "belief", "covariance", "raw", "truth"]
@@ -16,7 +17,9 @@ LIMIT = 1e10
 """MuJoCo's mjMAXVAL: a state beyond it is an error, so nothing observed is outside ± this."""
 
 
-def features(observe: str, observer: Observer) -> tuple[spaces.Box, Callable[[Array], Array]]:
+def features(
+    observe: str, suite: SensorSuite, filter_: LiveFilter | None, nx: int
+) -> tuple[spaces.Box, Callable[[Array], Array]]:
     """The observation space of one row, and the function of the true states that observes all.
 
     `state` is x̂ (qpos, qvel, act); `belief` appends the standard deviation of each tangent
@@ -25,7 +28,9 @@ def features(observe: str, observer: Observer) -> tuple[spaces.Box, Callable[[Ar
 
     Args:
         observe: one of these.
-        observer: sensors and filters.
+        suite: the sensors.
+        filter_: what follows the robots, or None.
+        nx: numbers of a state.
 
     Returns:
         The space, and `(row, nx)` -> new array `(row, k)` inside it.
@@ -35,12 +40,10 @@ def features(observe: str, observer: Observer) -> tuple[spaces.Box, Callable[[Ar
     """
     if observe not in get_args(Observe):
         raise EnvError(f"observe is '{observe}'{did_you_mean(observe, get_args(Observe))}")
-    bank = observer.bank
     if observe == "raw":
-        return _box(observer.readings.space.nx), lambda x: _inside(observer.readings.last)
+        return _box(suite.space.nx), lambda x: _inside(suite.latest)
     if observe == "truth":
-        nx = observer.model.nq + observer.model.nv + observer.model.na
-        last = np.zeros((len(observer.readings.tick), nx))
+        last = np.zeros((len(suite.latest), nx))
 
         def truth(x: Array) -> Array:
             finite = np.isfinite(x)
@@ -48,23 +51,23 @@ def features(observe: str, observer: Observer) -> tuple[spaces.Box, Callable[[Ar
             return _inside(last)
 
         return _box(nx), truth
-    if bank is None:
+    if filter_ is None:
         raise EnvError(f"observe='{observe}' needs a filter; name an estimator, e.g. 'ekf'")
-    nx, n = bank.space.nx, bank.space.n
+    n = filter_.space.n
     if observe == "state":
-        return _box(nx), lambda x: _inside(bank.estimate)
+        return _box(nx), lambda x: _inside(filter_.estimate)
     if observe == "belief":
 
         def belief(x: Array) -> Array:
-            variance = np.diagonal(bank.cov, axis1=1, axis2=2)
+            variance = np.diagonal(filter_.cov, axis1=1, axis2=2)
             std = np.sqrt(np.maximum(variance, 0.0))
-            return _inside(np.concatenate([bank.estimate, std], axis=1))
+            return _inside(np.concatenate([filter_.estimate, std], axis=1))
 
         return _box(nx + n), belief
     upper = np.triu_indices(n)
 
     def covariance(x: Array) -> Array:
-        return _inside(np.concatenate([bank.estimate, bank.cov[:, *upper]], axis=1))
+        return _inside(np.concatenate([filter_.estimate, filter_.cov[:, *upper]], axis=1))
 
     return _box(nx + n * (n + 1) // 2), covariance
 

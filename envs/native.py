@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.envs.actions import Actions
+from estbench.envs.episodes import Episodes
 from estbench.envs.errors import EnvError
-from estbench.envs.features import features
-from estbench.envs.keys import draw_key
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
-from estbench.robots.library import hold
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 
-ONE = np.ones(1, bool)
+ROW = np.zeros(1, np.int64)
 
 
 class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
@@ -64,15 +62,15 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         self.world = World(prepared, 1, estimator is not None, look=observe == "raw")
         self._actions = Actions(prepared.plant.model, normalize_actions)
         self.action_space = self._actions.space
-        self.observation_space, self._observe = features(observe, self.world.observer)
+        self.observation_space, self._observe = self.world.features(observe)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / prepared.plant.period))}
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise EnvError(f"render_mode is '{render_mode}'; use 'rgb_array', 'human' or None")
         self.render_mode = render_mode
         self._renderer = GhostRenderer(prepared.plant.model, width, height, camera)
         self._ghost = ghost and estimator is not None
+        self._episodes = Episodes(1)
         self._running = False
-        self._release = hold(self)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -80,10 +78,11 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         """Start an episode; `options` is not used.
 
         Returns:
-            The observation `(k,)` and the info of `estbench.envs.filter.FilterBank.info`.
+            The observation `(k,)` and the info of `estbench.inference.live.LiveFilter.info`.
         """
         super().reset(seed=seed)
-        self.world.reset(ONE, np.array([draw_key(self.np_random)]))
+        self._episodes.seed(0, seed)
+        self.world.reset(ROW, *self._episodes.next(ROW))
         self._running = True
         if self.render_mode == "human":
             self.render()
@@ -109,18 +108,15 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         """The picture `(height, width, 3)` in mode `rgb_array`; a window in mode `human`."""
         if self.render_mode is None:
             return None
-        bank = self.world.observer.bank
-        belief = (bank.estimate[0], bank.cov[0]) if self._ghost and bank is not None else None
-        return self._renderer.render(self.render_mode, self.world.truth.x[0], belief)
+        belief = self.world.belief(0) if self._ghost else None
+        return self._renderer.render(self.render_mode, self.world.x[0], belief)
 
     def close(self) -> None:
         """Free the renderer."""
         self._renderer.close()
-        self._release()
 
     def _seen(self) -> tuple[Array, dict[str, Any]]:
-        x = self.world.truth.x
-        return self._observe(x)[0].copy(), first(self.world.observer.info(x))
+        return self._observe(self.world.x)[0].copy(), first(self.world.info())
 
 
 def first(info: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from estbench.estimators.protocol import Innovation
 from estbench.models.protocol import Channels
-from estbench.robots.model import MujocoModel
+from estbench.robots.measurement import needed_stage
+from estbench.robots.model import MujocoModel, SensorChannel
 from estbench.shapes import Array
 
 ACCELERATION = int(mujoco.mjtStage.mjSTAGE_ACC)
@@ -60,13 +61,7 @@ class RawReadings:
         known = {c.name: c for c in model.channels}
         names = list(known) if channels is None else list(channels)
         useful = np.concatenate(
-            [
-                np.full(
-                    model.output([name]).n,
-                    int(model.mjmodel.sensor_needstage[known[name].index]) < ACCELERATION,
-                )
-                for name in names
-            ]
+            [np.full(model.output([name]).n, self._of_state(known[name])) for name in names]
         )
         predicted, H = model.measurement_jacobian(belief.mean, u, t, channels)
         residual = model.output(channels).minus(y, predicted)
@@ -96,3 +91,9 @@ class RawReadings:
     def cov(self, belief: Held) -> Array:
         """The initial covariance `(row, n, n)`: nothing is known of the error."""
         return belief.cov
+
+    def _of_state(self, channel: SensorChannel) -> bool:
+        """Whether a channel reads positions and velocities, or a function of the state."""
+        model, measurand = self.model.mjmodel, channel.measurand
+        sensors = (channel.index,) if measurand is None else measurand.sensors
+        return needed_stage(model, sensors) < ACCELERATION

@@ -7,8 +7,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from estbench.envs.errors import EnvError
-from estbench.envs.keys import Mask
-from estbench.shapes import Array
+from estbench.shapes import Array, Mask
 
 MODES = tuple(mode.value for mode in AutoresetMode) + tuple(AutoresetMode)
 

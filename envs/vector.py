@@ -10,17 +10,15 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from estbench.envs.actions import Actions
+from estbench.envs.episodes import Episodes
 from estbench.envs.errors import EnvError
-from estbench.envs.features import features
-from estbench.envs.keys import Mask, RowKeys
 from estbench.envs.native import ScenarioEnv
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.world import World, prepare
 from estbench.montecarlo.executors import cpu_count
-from estbench.robots.library import hold
 from estbench.scenario.schema import Scenario
-from estbench.shapes import Array
+from estbench.shapes import Array, Mask
 
 
 class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
@@ -77,7 +75,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
             self.world.limit(max_episode_steps)
         self._actions = Actions(prepared.plant.model, normalize_actions)
         self.single_action_space = self._actions.space
-        self.single_observation_space, self._observe = features(observe, self.world.observer)
+        self.single_observation_space, self._observe = self.world.features(observe)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._mode = AutoresetMode(autoreset_mode)
@@ -90,10 +88,9 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         self.render_mode = render_mode
         self._renderer = GhostRenderer(prepared.plant.model, width, height, camera)
         self._ghost = ghost and estimator is not None
-        self._keys = RowKeys(num_envs)
+        self._episodes = Episodes(num_envs)
         self._ended = np.zeros(num_envs, bool)
         self._started = False
-        self._release = hold(self)
 
     def reset(
         self,
@@ -116,11 +113,11 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         mask = reset_mask(options, self.num_envs)
         if not self._started and not mask.all():
             raise EnvError("reset_mask leaves out rows that have not started; reset all rows first")
-        for row in np.flatnonzero(mask):
-            self._keys.seed(int(row), seeds[row])
+        for row in np.flatnonzero(mask).tolist():
+            self._episodes.seed(row, seeds[row])
         self._restart(mask)
         self._started = True
-        return self._observe(self.world.truth.x), self._info(mask)
+        return self._observe(self.world.x), self._info(mask)
 
     def step(self, actions: Array) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """One control period of all rows under actions `(num_envs, nu)`.
@@ -147,33 +144,33 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         over = ended | late
         every = np.ones(self.num_envs, bool)
         if self._mode is AutoresetMode.SAME_STEP and over.any():
-            final = self._observe(self.world.truth.x), self._info(over)
+            final = self._observe(self.world.x), self._info(over)
             self._restart(over)
             info = self._info(every)
             add_final(info, over, *final)
         else:
             self._ended = over
             info = self._info(every)
-        return self._observe(self.world.truth.x), reward, ended, late, info
+        return self._observe(self.world.x), reward, ended, late, info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture `(height, width, 3)` of every row, in mode `rgb_array`."""
         if self.render_mode is None:
             return None
-        bank, frames = self.world.observer.bank, []
-        for row, x in enumerate(self.world.truth.x):
-            belief = (bank.estimate[row], bank.cov[row]) if self._ghost and bank else None
+        frames = []
+        for row, x in enumerate(self.world.x):
+            belief = self.world.belief(row) if self._ghost else None
             frames.append(self._renderer.render(self.render_mode, x, belief))
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""
         self._renderer.close()
-        self._release()
 
     def _restart(self, mask: Mask) -> None:
-        self.world.reset(mask, self._keys.draw(np.flatnonzero(mask)))
+        rows = np.flatnonzero(mask)
+        self.world.reset(rows, *self._episodes.next(rows))
         self._ended = self._ended & ~mask
 
     def _info(self, mask: Mask) -> dict[str, Any]:
-        return vector_info(self.world.observer.info(self.world.truth.x), mask)
+        return vector_info(self.world.info(), mask)

@@ -1,4 +1,4 @@
-"""A filter bank between a vector of ordinary MuJoCo environments and its policy."""
+"""A filter filter_ between a vector of ordinary MuJoCo environments and its policy."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -11,22 +11,20 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.vector.utils import batch_space
 
 from estbench.envs.actions import check
+from estbench.envs.episodes import Episodes
 from estbench.envs.errors import EnvError
-from estbench.envs.features import features
-from estbench.envs.keys import Mask, RowKeys
 from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.truth_info import KEYS
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
-from estbench.robots.library import hold
-from estbench.shapes import Array
+from estbench.shapes import Array, Mask
 
 States = tuple[Array, Array, Array]
 _log = logging.getLogger("estbench")
 
 
 class VectorEstimatedObservation(VectorWrapper):
-    """`EstimatedObservation` for `SyncVectorEnv`, `AsyncVectorEnv`: one filter bank for all rows.
+    """`EstimatedObservation` for `SyncVectorEnv`, `AsyncVectorEnv`: one batch of filters for all rows.
 
     Row i with seed s sees what `EstimatedObservation` sees with seed s + i. The filters use the
     first environment's model. Rows whose episode ends start their filter anew, in every autoreset
@@ -81,14 +79,13 @@ class VectorEstimatedObservation(VectorWrapper):
             self._twins = [Twin(member) for member in every]
             self.single_observation_space = self._twins[0].space
         else:
-            self.single_observation_space, self._observe = features(observe, self._watch.observer)
+            self.single_observation_space, self._observe = self._watch.features(observe)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self._mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
-        self._keys = RowKeys(env.num_envs, "estbench")
+        self._episodes = Episodes(env.num_envs)
         self._ended = np.zeros(env.num_envs, bool)
         self._shown = np.zeros((env.num_envs, *(self.single_observation_space.shape or ())))
         self._time = np.zeros(env.num_envs)
-        self._release = hold(self)
 
     def reset(
         self,
@@ -99,8 +96,8 @@ class VectorEstimatedObservation(VectorWrapper):
         """Start episodes and filters, in all rows or those of `options["reset_mask"]`."""
         mask, seeds = reset_mask(options, self.num_envs), row_seeds(seed, self.num_envs)
         _, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
-        for row in np.flatnonzero(mask):
-            self._keys.seed(int(row), seeds[row])
+        for row in np.flatnonzero(mask).tolist():
+            self._episodes.seed(row, seeds[row])
         states = self._states(info)
         self._restart(mask, states)
         return self._shown.copy(), {**info, **self._info(states, mask)}
@@ -142,17 +139,17 @@ class VectorEstimatedObservation(VectorWrapper):
 
     def close(self, **kwargs: Any) -> None:
         """Close the environments."""
-        self._release()
         self.env.close(**kwargs)
 
     def _restart(self, mask: Mask, states: States) -> None:
         x, u, t = states
-        self._watch.reset(mask, self._keys.draw(np.flatnonzero(mask)), x, u)
+        rows = np.flatnonzero(mask)
+        self._watch.reset(rows, *self._episodes.next(rows), x, u)
         self._time[mask], self._ended = t[mask], self._ended & ~mask
-        bank = self._watch.observer.bank
-        if self._twins and bank is not None:
+        filter_ = self._watch.filter
+        if self._twins and filter_ is not None:
             for row in np.flatnonzero(mask):
-                self._shown[row] = self._twins[row].reset(bank.estimate[row], x[row], t[row])
+                self._shown[row] = self._twins[row].reset(filter_.estimate[row], x[row], t[row])
         else:
             self._shown[mask] = self._observe(x)[mask]
 
@@ -163,20 +160,20 @@ class VectorEstimatedObservation(VectorWrapper):
         x, u, t = states
         row = int(mask.argmax())
         nstep = self._watch.steps(float(t[row] - self._time[row]))
-        bank = self._watch.observer.bank
-        before = None if bank is None else bank.estimate
+        filter_ = self._watch.filter
+        before = None if filter_ is None else filter_.estimate
         self._watch.step(nstep, x, u, None if mask.all() else mask)
         self._time[mask] = t[mask]
-        if self._twins and bank is not None and before is not None:
+        if self._twins and filter_ is not None and before is not None:
             for row in np.flatnonzero(mask):
                 self._shown[row] = self._twins[row].step(
-                    before[row], u[row], nstep, bank.estimate[row], float(t[row])
+                    before[row], u[row], nstep, filter_.estimate[row], float(t[row])
                 )
         else:
             self._shown[mask] = self._observe(x)[mask]
 
     def _info(self, states: States, mask: Mask) -> dict[str, Any]:
-        return vector_info(self._watch.observer.info(states[0]), mask)
+        return vector_info(self._watch.info(states[0]), mask)
 
     def _states(self, info: dict[str, Any]) -> States:
         """True states, controls and times of all rows; of rows without news, the last ones."""

@@ -1,24 +1,29 @@
 """Sensors and filters for environments not our own: what both wrappers do with true states."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 from estbench.envs.adopt import adopt, mujoco_parts
 from estbench.envs.errors import EnvError
-from estbench.envs.filter import FilterBank
-from estbench.envs.keys import Keys, Mask, purpose
-from estbench.envs.observer import Observer
-from estbench.envs.readings import Readings
+from estbench.envs.features import features
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
-from estbench.randomness import counter as random
-from estbench.robots import layout, parameters
+from estbench.inference.fusion import Delays
+from estbench.inference.live import LiveFilter
+from estbench.randomness import streams
+from estbench.randomness.streams import Seeds
+from estbench.robots import backend, layout, parameters
+from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
-from estbench.robots.model import MujocoModel, SensorChannel
-from estbench.shapes import Array
+from estbench.robots.model import MujocoModel
+from estbench.sensors.clock import Clocks, Event
+from estbench.sensors.suite import SensorSuite
+from estbench.sensors.timing import Instant, Schedule
+from estbench.shapes import Array, Ints, Mask
 from estbench.spaces.linalg import quiet
 from estbench.spaces.patterns import expand
 
@@ -30,7 +35,9 @@ class Watch:
     copies.
 
     Attributes:
-        observer: sensors and filters.
+        suite: the sensors.
+        filter: what follows the robots, or None.
+        clocks: where each row is in its episode.
         space: the state space.
         data: `env`'s MuJoCo data, to be read only.
         notices: what was assumed.
@@ -61,20 +68,29 @@ class Watch:
                 f"initial_std is {std.min():g}; a standard deviation is at least 0"
             )
         self._std, self._cov = std, np.repeat(np.diag(std**2)[None], rows, axis=0)
-        readings = Readings(adopted.model, adopted.channels, rows, nthread, adopted.quiet)
-        bank = None
+        self._range = ControlRange.of(adopted.model)
+        engine = backend.create(adopted.model, nthread)
+        self.suite = SensorSuite(adopted.model, engine, adopted.channels, rows, look=not filtered)
+        timed = False
+        self.filter: LiveFilter | None = None
         if filtered:
             believed = MujocoModel(
                 parameters.changed(adopted.model, model_set or {}, "model_set"),
-                [SensorChannel(c.name, c.index, c.cov) for c in adopted.channels],
+                adopted.believed,
                 _disturbance(adopted.model, self.space, process_noise),
                 nthread=nthread,
             )
-            made = _estimator(estimator, believed)
-            depth = readings.depth(self.frame_skip)
-            bank = FilterBank(made, self.space, readings.slots, rows, depth=depth)
-            self._try(bank, readings, rows)
-        self.observer = Observer(adopted.model, readings, bank)
+            made, latest = _estimator(estimator, believed), self.frame_skip
+            latest += max((c.timing.longest_delay for c in adopted.channels), default=0)
+            window = latest if latest > self.frame_skip else 0
+            spaces = {c.name: c.space for c in adopted.channels}
+            own = type(made).__module__.startswith("estbench.")
+            timed = not own or any(c.schedule is not None for c in adopted.channels)
+            self.filter = LiveFilter(
+                made, self.space, spaces, rows, Delays(window=window), by_clock=timed
+            )
+            self._try(self.filter, rows)
+        self.clocks = Clocks(rows, Schedule((), self._timestep, self.frame_skip), timed)
 
     def steps(self, elapsed: float) -> int:
         """Physics steps in the time that an environment's step took, s.
@@ -90,35 +106,58 @@ class Watch:
             )
         return count
 
-    def reset(self, mask: Mask, keys: Keys, x: Array, u: Array) -> None:
-        """Start filters at x̂₀ with x ⊖ x̂₀ ~ N(0, P₀) in the rows of a mask.
+    def reset(self, rows: Ints, seed: Seeds, runs: Sequence[int], x: Array, u: Array) -> None:
+        """Start filters at x̂₀ with x ⊖ x̂₀ ~ N(0, P₀) in some rows.
 
         Args:
-            mask: `(row,)`.
-            keys: random keys of these rows `(mask.sum(),)`.
+            rows: their numbers.
+            seed: of all of them, or one for each.
+            runs: the number of the run in each.
             x: true states of all rows `(row, nx)`.
             u: controls `(row, nu)`.
         """
+        self.clocks.start(rows)
+        self.suite.start(rows, seed, runs, self.clocks.tick, x, self._range.clamp(u))
+        if self.filter is None:
+            return
         error = np.zeros((len(x), self.space.n))
-        zero = np.zeros(len(keys), np.uint64)
-        error[mask] = self._std * random.normal(keys, zero, purpose("initial"), self.space.n)
-        self.observer.reset(mask, keys, x, u, self.space.plus(x, -error), self._cov)
+        error[rows] = self._std * streams.normals(seed, runs, "initial", 1, self.space.n)[0]
+        keys = np.zeros(len(x), np.uint64)
+        keys[rows] = streams.run_keys(seed, runs, "estimator")
+        self.filter.start(rows, self.space.plus(x, -error), self._cov, keys)
 
     def step(self, nstep: int, x: Array, u: Array, mask: Mask | None = None) -> None:
         """Physics steps have passed under u `(row, nu)`, up to the true states x `(row, nx)`."""
-        self.observer.begin()
-        self.observer.advance(nstep, x, u, mask)
+        u = self._range.clamp(u)
+        if self.filter is not None:
+            self.filter.begin()
+        with quiet():
+            for event in self.clocks.interval(nstep, mask):
+                _, end = self.clocks.time(event)
+                arrived = self.suite.read(event.tick, end, x, u, event.rows)
+                if self.filter is not None:
+                    self.filter.step(event, u, arrived)
+        if self.filter is not None:
+            self.filter.settle()
 
-    def _try(self, bank: FilterBank, readings: Readings, rows: int) -> None:
+    def info(self, x: Array) -> dict[str, Any]:
+        """What `info` says of every row: see `LiveFilter.info`; without a filter, the truth."""
+        return {"truth": x.copy()} if self.filter is None else self.filter.info(x)
+
+    def features(self, observe: str) -> tuple[spaces.Box, Callable[[Array], Array]]:
+        """The observation of a kind; see `estbench.envs.features.features`."""
+        return features(observe, self.suite, self.filter, self.space.nx)
+
+    def _try(self, tried: LiveFilter, rows: int) -> None:
         """One prediction from the model's rest, to see that the estimator can use this model."""
         rest = np.concatenate([self.data.model.qpos0, np.zeros(self.space.nx - self.data.model.nq)])
         mean = np.repeat(rest[None], rows, axis=0)
-        u = np.zeros((rows, self.data.model.nu))
-        with quiet():
-            bank.reset(np.ones(rows, bool), mean, self._cov)
-            bank.predict(u, 0.0, self.frame_skip * self._timestep)
-            bank.settle()
-        if bank.failed.any():
+        nstep, keys = self.frame_skip, np.zeros(rows, np.uint64)
+        instant = Instant(0.0, nstep * self._timestep, nstep, (), True, nstep)
+        tried.start(np.arange(rows), mean, self._cov, keys)
+        tried.step(Event(nstep, instant), np.zeros((rows, self.data.model.nu)), [])
+        tried.settle()
+        if tried.failed.any():
             zero = [n for n, s in zip(self.space.names, self._std) if s == 0]
             remedy = (
                 f"initial_std is 0 for {zero[0]}, and it needs a positive definite P₀: give every "
@@ -126,7 +165,7 @@ class Watch:
                 if zero
                 else "its first prediction is not finite; choose another estimator or process_noise"
             )
-            raise EstimatorError(f"estimator {type(bank.estimator).__name__}: {remedy}")
+            raise EstimatorError(f"estimator {type(tried.estimator).__name__}: {remedy}")
 
 
 def _estimator(estimator: str | Mapping[str, Any], model: MujocoModel) -> Any:

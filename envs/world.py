@@ -1,33 +1,33 @@
-"""Truth, task, sensors and filters of many robots: the core of the native environments."""
+"""Robots of a scenario, a task and a filter, step by step: the core of the native environments."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from gymnasium import spaces
 
 from estbench.envs.errors import EnvError
-from estbench.envs.filter import FilterBank
-from estbench.envs.keys import Keys, Mask
-from estbench.envs.observer import Observer
-from estbench.envs.readings import Readings
+from estbench.envs.features import features
 from estbench.envs.task import Task
-from estbench.envs.truth import TruthRows
-from estbench.estimators import registry
 from estbench.experiment import setup
+from estbench.inference.live import LiveFilter
 from estbench.montecarlo import run as experiment
+from estbench.randomness import streams
+from estbench.randomness.streams import Seeds
 from estbench.robots.controls import ControlRange
 from estbench.scenario import load as scenarios
-from estbench.shapes import Array
+from estbench.scenario.schema import Scenario
+from estbench.shapes import Array, Ints, Mask
+from estbench.spaces.linalg import quiet
 
 Estimator = str | Mapping[str, Any] | None
 """A scenario's label, a name, `package.module:Name`, a table of settings with `type`, or none."""
 
 
 def prepare(
-    scenario: str | Path | scenarios.Scenario | None,
+    scenario: str | Path | Scenario | None,
     estimator: Estimator,
     sensors: Sequence[str] | None,
     overrides: Sequence[str],
@@ -44,7 +44,7 @@ def prepare(
         )
     loaded = (
         scenarios.override(scenario, overrides)
-        if isinstance(scenario, scenarios.Scenario)
+        if isinstance(scenario, Scenario)
         else scenarios.load(scenario, overrides)
     )
     if sensors is not None:
@@ -62,19 +62,19 @@ def prepare(
 
 
 class World:
-    """`rows` robots of one scenario under a task, observed.
+    """`rows` robots of one scenario under a task, and the filter that follows them.
 
     Args:
         prepared: the resolved scenario; its first estimator is used.
         rows: how many robots.
         filtered: whether there is a filter at all.
-        nthread: threads of the batches.
+        nthread: threads of the physics.
         look: whether raw readings are wanted from the start of an episode on.
 
     Attributes:
-        observer: sensors and filters.
         task: reward, end, horizon.
-        truth: the true robots.
+        simulator: the true robots and their sensors.
+        filter: what is known of them, or None.
         u: controls held in the last step `(row, nu)`.
     """
 
@@ -89,32 +89,42 @@ class World:
         self.setup, self.rows = prepared, rows
         scenario, plant = prepared.scenario, prepared.plant
         self.task = Task.build(scenario, plant)
-        self.truth = TruthRows(prepared, rows, nthread)
-        readings = Readings(plant.model, prepared.channels, rows, nthread, look=look)
-        self._stride = readings.stride(plant.nstep)
-        bank, mean, cov = None, prepared.mean, prepared.cov
+        self._range = ControlRange.of(plant.model)
+        self._label = next(iter(scenario.estimators))
+        timed = filtered and prepared.depends_on_time(self._label)
+        self.simulator = prepared.robots(rows, nthread=nthread, look=look, timed=timed)
+        self.filter: LiveFilter | None = None
         if filtered:
-            label = next(iter(scenario.estimators))
-            if prepared.start(label).method != "prior":
-                raise EnvError(
-                    f"{label}: start.method is '{prepared.start(label).method}'; in an environment "
-                    "a filter starts from the prior, so leave it out"
-                )
-            made = registry.create(label, prepared.settings(label), prepared.model(nthread))
-            exact = prepared.delays(label).handling == "exact"
-            depth = readings.depth(self._stride) if exact else 0
-            threshold = scenario.consistency.divergence_threshold
-            bank = FilterBank(made, prepared.space, readings.slots, rows, threshold, depth)
-            mean, cov = prepared.prior(label)
-        self.observer = Observer(plant.model, readings, bank)
-        mean, cov = prepared.prior(next(iter(scenario.estimators)))
+            self.filter = LiveFilter(
+                prepared.estimator(self._label, nthread),
+                prepared.space,
+                prepared.channel_spaces,
+                rows,
+                prepared.delays(self._label),
+                scenario.consistency.divergence_threshold,
+                timed,
+            )
+        mean, cov = prepared.prior(self._label)
         self._prior = np.repeat(mean[None], rows, axis=0), np.repeat(cov[None], rows, axis=0)
         self.u = np.repeat(plant.u0[None], rows, axis=0)
 
     @property
-    def elapsed(self) -> NDArray[np.int64]:
+    def x(self) -> Array:
+        """True states `(row, nx)`."""
+        return self.simulator.x
+
+    def belief(self, row: int) -> tuple[Array, Array] | None:
+        """x̂ `(nx,)` and P `(n, n)` of a row, if there is a filter."""
+        return None if self.filter is None else (self.filter.estimate[row], self.filter.cov[row])
+
+    def features(self, observe: str) -> tuple[spaces.Box, Callable[[Array], Array]]:
+        """The observation of a kind; see `estbench.envs.features.features`."""
+        return features(observe, self.simulator.suite, self.filter, self.setup.space.nx)
+
+    @property
+    def elapsed(self) -> Ints:
         """Steps of the environment since the reset `(row,)`."""
-        return self.truth.tick // self.setup.plant.nstep
+        return self.simulator.clocks.elapsed // self.setup.plant.nstep
 
     def limit(self, steps: int) -> None:
         """Another horizon, in steps of the environment.
@@ -126,11 +136,20 @@ class World:
             raise EnvError(f"max_episode_steps is {steps}; use at least 1")
         self.task = replace(self.task, steps=int(steps))
 
-    def reset(self, mask: Mask, keys: Keys) -> None:
-        """Start the rows of a mask anew, with random keys `(mask.sum(),)`."""
-        self.truth.reset(mask, keys)
-        self.u[mask] = self.setup.plant.u0
-        self.observer.reset(mask, keys, self.truth.x, self.u, *self._prior)
+    def reset(self, rows: Ints, seed: Seeds, runs: Sequence[int]) -> None:
+        """Begin episodes in some rows.
+
+        Args:
+            rows: their numbers.
+            seed: of all of them, or one for each.
+            runs: the number of the run in each.
+        """
+        self.u[rows] = self.setup.plant.u0
+        self.simulator.start(rows, seed, runs, self.u)
+        if self.filter is not None:
+            keys = np.zeros(self.rows, np.uint64)
+            keys[rows] = streams.run_keys(seed, runs, f"estimator:{self._label}")
+            self.filter.start(rows, *self._prior, keys)
 
     def step(self, u: Array, mask: Mask | None = None) -> tuple[Array, Mask, Mask]:
         """One control period under controls `(row, nu)`.
@@ -142,14 +161,26 @@ class World:
         Returns:
             Reward, terminated and truncated `(row,)`; 0 and False outside the mask.
         """
-        u = ControlRange.of(self.setup.plant.model).clamp(u)
+        u = self._range.clamp(u)
         self.u = u if mask is None else np.where(mask[:, None], u, self.u)
-        self.observer.begin()
-        for _ in range(self.setup.plant.nstep // self._stride):
-            x = self.truth.step(self.u, self._stride, mask)
-            self.observer.advance(self._stride, x, self.u, mask)
-        reward, ended = self.task.reward(self.truth.x, self.u)
+        if self.filter is not None:
+            self.filter.begin()
+        with quiet():
+            for event in self.simulator.clocks.period(mask):
+                arrived = self.simulator.advance(event, self.u)
+                if self.filter is not None:
+                    self.filter.step(event, self.u, arrived)
+        if self.filter is not None:
+            self.filter.settle()
+        x = self.simulator.x
+        reward, ended = self.task.reward(x, self.u)
         late = ~ended & (self.elapsed >= self.task.steps)
         if mask is not None:
             reward, ended, late = np.where(mask, reward, 0.0), ended & mask, late & mask
         return reward, ended, late
+
+    def info(self) -> dict[str, Array]:
+        """What `info` says of every row: see `LiveFilter.info`; without a filter, the truth."""
+        if self.filter is None:
+            return {"truth": self.simulator.x.copy()}
+        return self.filter.info(self.simulator.x)

@@ -10,16 +10,14 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from estbench.envs.actions import check
+from estbench.envs.episodes import Episodes
 from estbench.envs.errors import EnvError
-from estbench.envs.features import features
-from estbench.envs.keys import RowKeys
 from estbench.envs.native import first
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
-from estbench.robots.library import hold
 from estbench.shapes import Array
 
-ONE = np.ones(1, bool)
+ROW = np.zeros(1, np.int64)
 _log = logging.getLogger("estbench")
 
 
@@ -80,12 +78,11 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         for line in self.notices:
             _log.warning("%s: %s", type(env.unwrapped).__name__, line)
         self._data = self._watch.data
-        self._keys = RowKeys(1, "estbench")
+        self._episodes = Episodes(1)
         self._twin = Twin(env) if observe == "env" else None
         if self._twin is None:
-            self.observation_space, self._observe = features(observe, self._watch.observer)
+            self.observation_space, self._observe = self._watch.features(observe)
         self._running = False
-        self._release = hold(self)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -94,19 +91,19 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
 
         Returns:
             The observation, and the environment's info with that of the filter
-            (`estbench.envs.filter.FilterBank.info`).
+            (`estbench.inference.live.LiveFilter.info`).
         """
         _, info = self.env.reset(seed=seed, options=options)
-        self._keys.seed(0, seed)
+        self._episodes.seed(0, seed)
         x, u = self._state(), np.array(self._data.ctrl)[None]
-        self._watch.reset(ONE, self._keys.draw([0]), x, u)
+        self._watch.reset(ROW, *self._episodes.next(ROW), x, u)
         self._running, self._time = True, self._data.time
-        bank = self._watch.observer.bank
-        if self._twin is not None and bank is not None:
-            observation = self._twin.reset(bank.estimate[0], x[0], self._time)
+        filter_ = self._watch.filter
+        if self._twin is not None and filter_ is not None:
+            observation = self._twin.reset(filter_.estimate[0], x[0], self._time)
         else:
             observation = self._observe(x)[0].copy()
-        return observation, {**info, **first(self._watch.observer.info(x))}
+        return observation, {**info, **first(self._watch.info(x))}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment, predict and update.
@@ -124,21 +121,20 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         x, u = self._state(), np.array(self._data.ctrl)[None]
         nstep = self._watch.steps(self._data.time - self._time)
         self._time = self._data.time
-        bank = self._watch.observer.bank
-        before = None if bank is None else bank.estimate
+        filter_ = self._watch.filter
+        before = None if filter_ is None else filter_.estimate
         self._watch.step(nstep, x, u)
-        if self._twin is not None and bank is not None and before is not None:
-            observation = self._twin.step(before[0], u[0], nstep, bank.estimate[0], self._time)
+        if self._twin is not None and filter_ is not None and before is not None:
+            observation = self._twin.step(before[0], u[0], nstep, filter_.estimate[0], self._time)
         else:
             observation = self._observe(x)[0].copy()
         return (
             observation, reward, terminated, truncated,
-            {**info, **first(self._watch.observer.info(x))},
+            {**info, **first(self._watch.info(x))},
         )  # fmt: skip
 
     def close(self) -> None:
         """Close the environment."""
-        self._release()
         super().close()
 
     def _state(self) -> Array:

@@ -38,6 +38,10 @@ class EstimatorError(EstbenchError):
     """An estimator is unknown, lacks a method, or has a setting out of range."""
 
 
+class SelectionError(EstimatorError):
+    """A belief cannot be taken apart by runs: some of it is shared between them."""
+
+
 class ControllerError(EstbenchError):
     """A controller cannot be built, raised, or returned something unusable."""
 

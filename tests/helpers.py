@@ -1,5 +1,6 @@
 """Models and estimators to parametrize over."""
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -14,9 +15,9 @@ from estbench.models.linear import LinearModel
 from estbench.robots import mjcf
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import sensor_name, sensor_space, state_space
-from estbench.robots.library import engine
 from estbench.robots.model import MujocoModel, SensorChannel
-from estbench.simulation.truth import Trajectory, simulate
+from estbench.simulation import sources
+from estbench.simulation.sources import Trajectory
 
 SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
 CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
@@ -275,7 +276,12 @@ def nonlinear_model(n: int = 2, jacobians: bool = True, batched: bool = True) ->
 
 def simulated(prepared: Setup, runs: int) -> Trajectory:
     """The truth of the first runs of a scenario."""
-    with engine():
-        return simulate(
-            prepared.simulator(range(runs)), prepared.controller(range(runs)), prepared.plant.period
-        )
+    return sources.record(driven(prepared, range(runs)))
+
+
+def driven(prepared: Setup, runs: Sequence[int]) -> sources.Live:
+    """Some runs of a scenario under its controller."""
+    return sources.Live(
+        prepared.simulator(runs), prepared.instants, prepared.controller(runs),
+        prepared.plant.period,
+    )  # fmt: skip

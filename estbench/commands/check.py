@@ -16,6 +16,7 @@ from estbench.models import observability
 from estbench.robots import added_sensors, layout, mjcf
 from estbench.scenario import load as scenario
 from estbench.scenario.schema import FilterSection, Scenario, TruthSection
+from estbench.sensors.description import ChannelDescription
 from estbench.simulation import controllers
 
 STAGES = ("none", "position", "velocity", "acceleration")
@@ -127,14 +128,14 @@ def render_check(resolved: Scenario) -> Group:
     for name in ("channel", "type", "noise σ", "unit", "rate", "stage"):
         sensors.add_column(name, no_wrap=True)
     for channel in prepared.channels:
-        std = np.unique(np.sqrt(np.diag(channel.cov)))
+        described = ChannelDescription.of(channel)
         sensors.add_row(
-            channel.name,
-            channel.kind,
-            " ".join(f"{s:.3g}" for s in std),
-            channel.space.units[0],
-            f"{1 / (channel.period * model.opt.timestep):g} Hz",
-            STAGES[max((model.sensor_needstage[i] for i in channel.source.sensors), default=0)],
+            described.name,
+            described.kind,
+            described.noise_text,
+            described.unit_text,
+            described.rate_text,
+            STAGES[max((model.sensor_needstage[i] for i in channel.measurand.sensors), default=0)],
         )
     control = resolved.control
     lines = [

@@ -1,6 +1,6 @@
 """EKF that corrects its noise covariances from the innovations, or enlarges P⁻ by hand."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, cast
 
@@ -93,6 +93,17 @@ class AdaptiveEKF(EKF):
                     f"least {least:g}"
                 )
             object.__setattr__(self, attribute, values)
+
+    def check_schedule(self, duration: float, arrivals: int, given: Collection[str]) -> None:
+        """Refuse a window that is longer than the run; the default may be longer.
+
+        Raises:
+            EstimatorError: the window is given and exceeds the arrivals of a run.
+        """
+        if "window" in given and self.window > arrivals:
+            raise EstimatorError(
+                f"window is {self.window} arrivals but the run has {arrivals}; shorten it"
+            )
 
     def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> AdaptiveBelief:
         """Start from mean `(run, nx)` and cov `(run, n, n)` with the model's own noise."""

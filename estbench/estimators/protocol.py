@@ -1,6 +1,6 @@
 """What an estimator is asked for, what it answers, and what a smoother looks back on."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -63,6 +63,24 @@ class Estimator(Protocol):
 
     def cov(self, belief: Any) -> Float[Array, "run n n"]:
         """P `(run, n, n)` in the tangent at x̂."""
+        ...
+
+
+@runtime_checkable
+class ScheduleCheck(Protocol):
+    """An optional method of an estimator: it refuses runs that are too short for its settings."""
+
+    def check_schedule(self, duration: float, arrivals: int, given: Collection[str]) -> None:
+        """Compare the settings with the length of a run; called before anything is simulated.
+
+        Args:
+            duration: of each run, s.
+            arrivals: instants of each run at which readings are due.
+            given: names of the settings that the scenario gives; the others have their defaults.
+
+        Raises:
+            EstimatorError: the run is too short. The estimator's label is put before the message.
+        """
         ...
 
 

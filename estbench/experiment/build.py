@@ -20,7 +20,7 @@ from estbench.scenario.schema import (
 from estbench.sensors import channel as sensors
 from estbench.sensors import datasheet, schedules
 from estbench.sensors.channel import Channel
-from estbench.sensors.timing import Instant, Native
+from estbench.sensors.timing import Instant, MjcfTiming
 from estbench.shapes import Array
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
@@ -94,7 +94,7 @@ def disturbance(
     notices += schedules.unused(schedule, section, ("density", "matrix"), where)
     if schedule is not None:
         disturbance = disturbance.scheduled(schedule.at)
-    if assumed and schedules.whole(schedule) is None:
+    if assumed and schedules.initial_covariance(schedule) is None:
         notices.append(f"no process_noise.density given; assuming {DEFAULT_DENSITY} on {assumed}")
     if not disturbance.rank:
         notices.append("process noise is zero: an estimator's gain will vanish with time")
@@ -163,16 +163,16 @@ def believed_channels(
     for channel in channels:
         belief = section.channels.get(channel.name, BelievedChannelSection())
         R, scale = _believed_noise(channel, belief, section.measurement_noise_scale, duration)
-        source = channel.source
-        if not source.function:
+        measurand = channel.measurand
+        if not measurand.function:
             missing = [name for name in channel.sensors if name not in names]
             if missing:
                 raise ScenarioError(
                     f"filter.path: the filter's model has no sensor {', '.join(missing)}"
                 )
             indices = [names.index(name) for name in channel.sensors]
-            source = Measurand.of_sensors(model, *indices, axes=source.axes)
-        out.append(SensorChannel(channel.name, -1, R, scale, source))
+            measurand = Measurand.of_sensors(model, *indices, axes=measurand.axes)
+        out.append(SensorChannel(channel.name, -1, R, scale, measurand))
     return tuple(out)
 
 
@@ -184,7 +184,7 @@ def _believed_noise(
     own = schedules.build(belief.schedule, channel.space.n, duration, f"{where}.schedule")
     if own is None and belief.follow_schedule:
         own = channel.schedule
-    R = schedules.whole(own)
+    R = schedules.initial_covariance(own)
     if R is not None and (belief.noise is not None or belief.cov is not None):
         raise ScenarioError(
             f"{where} has a constant R of its own, and follows a schedule of whole covariances; "
@@ -194,10 +194,10 @@ def _believed_noise(
     return R, None if own is None else schedules.Scaled(own, scale).at
 
 
-def native_timing(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Native]:
+def mjcf_timings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MjcfTiming]:
     """Sensor -> its rhythm by the MJCF, for the sensors that have a history."""
     return {
-        layout.sensor_name(model, i): Native(
+        layout.sensor_name(model, i): MjcfTiming(
             float(sensor.interval[0]), float(sensor.interval[1]), float(sensor.delay),
             int(sensor.nsample),
         )

@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 
 from estbench.consistency.records import RESERVED
-from estbench.errors import EstimatorError, ScenarioError
+from estbench.errors import EstbenchError, EstimatorError, ScenarioError, user_error_location
 from estbench.estimators import registry
-from estbench.estimators.adaptive import AdaptiveEKF
-from estbench.estimators.protocol import Estimator
+from estbench.estimators.protocol import Estimator, ScheduleCheck
 from estbench.experiment import build as resolution
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
@@ -26,11 +25,10 @@ from estbench.scenario.schema import BelievedChannelSection, Scenario, StartSect
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
-from estbench.sensors.timing import Instant
+from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array
 from estbench.simulation import controllers
 from estbench.simulation.truth import Simulator
-from estbench.smoothers.estimators import MAP
 from estbench.spaces.manifold import Manifold
 
 
@@ -89,9 +87,9 @@ class Setup:
         """Channel -> the manifold of its readings, in the measurement's order."""
         return {c.name: c.space for c in self.channels}
 
-    def estimator(self, label: str) -> Estimator:
+    def estimator(self, label: str, nthread: int = 1) -> Estimator:
         """The estimator of that label on a fresh model, started as the scenario says."""
-        model, start = self.model(), self.start(label)
+        model, start = self.model(nthread), self.start(label)
         settings = self.settings(label)
         if isinstance(settings.get("models"), list):
             settings["models"] = [self._varied(label, table) for table in settings["models"]]
@@ -108,6 +106,24 @@ class Setup:
                 f"{where}: {changes!r} is no table; use one like that of filter.set"
             )
         return self.model(robot=parameters.changed(self.filter_model, changes, where))
+
+    def depends_on_time(self, label: str) -> bool:
+        """Whether what the estimator of that label computes may depend on the time.
+
+        Schedules, functions of the state that are given the time and MuJoCo's clocks do, and a fit
+        of the first readings; what a user's own estimator does nobody knows.
+        """
+        model, clock = self.filter_model, mujoco.mjtSensor.mjSENS_CLOCK
+        used = [i for channel in self.channels for i in channel.measurand.sensors]
+        estimator = registry.resolve(str(self.settings(label).get("type", label)))
+        return bool(
+            self.start(label).method != "prior"
+            or self.filter_disturbance.schedule is not None
+            or any(channel.scale is not None for channel in self.filter_channels)
+            or any(channel.measurand.function is not None for channel in self.channels)
+            or (model.sensor_type[used] == clock).any()
+            or not estimator.__module__.startswith("estbench.")
+        )
 
     def settings(self, label: str) -> dict[str, Any]:
         """The estimator's own settings, without those of the event loop."""
@@ -147,25 +163,49 @@ class Setup:
         section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
         if section.window is not None:
             return int(section.window / timestep + 1e-9)
-        late = [c.timing.longest for c in self.channels]
+        late = [c.timing.longest_delay for c in self.channels]
         late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
         # A reading is fused at the first instant after its arrival, up to one interval later.
         slack = max(i.nstep for i in self.instants) if any(late) else 0
         return max(late, default=0) + slack
 
     def simulator(self, runs: Sequence[int]) -> Simulator:
-        """The true robot for some runs."""
+        """The true robots of some runs at their start."""
+        out = self.robots(len(runs), self.instants)
+        u0 = np.repeat(self.plant.u0[None], len(runs), axis=0)
+        out.start(np.arange(len(runs)), self.scenario.simulation.seed, runs, u0)
+        return out
+
+    def robots(
+        self,
+        rows: int,
+        instants: Sequence[Instant] | None = None,
+        nthread: int = 1,
+        look: bool = False,
+        timed: bool = False,
+    ) -> Simulator:
+        """The true robot in many rows; see `Simulator`."""
+        factor = np.asarray(np.linalg.cholesky(self.cov), np.float64)
         return Simulator(
             self.plant.model,
             self.space,
             self.channels,
-            self.instants,
+            self.schedule,
             self.disturbance,
-            (self.mean, np.asarray(np.linalg.cholesky(self.cov), np.float64)),
+            (self.mean, factor),
             self.scenario.truth.draw,
-            self.scenario.simulation.seed,
-            runs,
+            rows,
+            instants,
+            nthread,
+            look,
+            timed,
         )
+
+    @property
+    def schedule(self) -> Schedule:
+        """The instants of an episode without an end."""
+        named = [(c.name, c.timing) for c in self.channels]
+        return Schedule(named, float(self.plant.model.opt.timestep), self.plant.nstep)
 
     def controller(self, runs: Sequence[int]) -> controllers.Controller:
         """The controller for some runs, its errors made clear."""
@@ -194,11 +234,11 @@ def build(scenario: Scenario) -> Setup:
         scenario.sensors,
         section.frame_skip,
         duration,
-        resolution.native_timing(spec, truth),
+        resolution.mjcf_timings(spec, truth),
         belief.channels,
     )
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
-    truth.sensor_cutoff[np.isfinite(sensors.native_cutoff(truth))] = 0.0
+    truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
     mean, cov = resolution.initial(scenario.initial, truth, space, x0)
     instants = timing.instants(
@@ -269,21 +309,25 @@ def _check_window(setup: Setup) -> None:
 
 
 def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
-    """Refuse windows that are longer than the run."""
+    """Refuse windows that are longer than the run.
+
+    Raises:
+        EstimatorError: `start.window` or a setting of the estimator needs a longer run.
+    """
     end, arrivals = setup.instants[-1].end, sum(bool(i.channels) for i in setup.instants)
     start = setup.start(label)
-    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
     if start.method != "prior" and start.window >= end:
         raise EstimatorError(
             f"{label}: start.window is {start.window:g} s but the run only {end:g} s; shorten it"
         )
-    if isinstance(inner, MAP) and inner.window is not None and inner.window > end + 1e-9:
+    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
+    if not isinstance(inner, ScheduleCheck):
+        return
+    try:
+        inner.check_schedule(end, arrivals, frozenset(setup.settings(label)))
+    except EstbenchError as error:
+        raise EstimatorError(f"{label}: {error}") from None
+    except Exception as error:  # a user's estimator may raise anything
         raise EstimatorError(
-            f"{label}: window is {inner.window:g} s but the run only {end:g} s; shorten it, or "
-            "leave it out for the whole run"
-        )
-    asked = "window" in setup.settings(label)  # the default may look beyond a short run
-    if isinstance(inner, AdaptiveEKF) and asked and inner.window > arrivals:
-        raise EstimatorError(
-            f"{label}: window is {inner.window} arrivals but the run has {arrivals}; shorten it"
-        )
+            f"{label}: check_schedule raised {user_error_location(error)}"
+        ) from None

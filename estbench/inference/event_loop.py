@@ -1,7 +1,7 @@
 """The event loop: predict to each instant, update with what arrives, record.
 
-An estimator is driven the same way whether the truth was recorded beforehand (`Recorded`) or is
-stepped beside it because the controller sees the estimate (`Live`).
+An estimator is driven the same way whatever the source of truth and readings: recorded beforehand,
+or stepped along because the controller sees the estimate (`simulation.sources`).
 """
 
 import time
@@ -18,11 +18,9 @@ from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
 from estbench.inference.innovations import Innovations
 from estbench.inference.traces import Recorder, Traces
+from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
-from estbench.sensors.timing import Instant
 from estbench.shapes import Array
-from estbench.simulation.controllers import Controller
-from estbench.simulation.truth import Simulator, Trajectory, finite
 from estbench.spaces.linalg import quiet
 from estbench.spaces.manifold import Manifold
 
@@ -30,56 +28,16 @@ from estbench.spaces.manifold import Manifold
 class Source(Protocol):
     """Where truth, control and measurements come from."""
 
-    instants: Sequence[Instant]
+    events: Sequence[Event]
     x0: Array
 
     def control(self, k: int, estimate: Array) -> Array:
-        """U `(run, nu)` held up to the end of instant k."""
+        """U `(run, nu)` held up to the end of the k-th event."""
         ...
 
     def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
-        """True state `(run, nx)` at the end of instant k and what arrives then."""
+        """True state `(run, nx)` at the end of the k-th event and what arrives then."""
         ...
-
-
-class Recorded:
-    """A trajectory that was simulated beforehand, the same for every estimator."""
-
-    def __init__(self, instants: Sequence[Instant], trajectory: Trajectory):
-        self.instants = instants
-        self.x0 = trajectory.x[0]
-        self._trajectory = trajectory
-
-    def control(self, k: int, estimate: Array) -> Array:
-        """The recorded control."""
-        return self._trajectory.u[k]
-
-    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
-        """The recorded state and readings."""
-        return self._trajectory.x[k + 1], self._trajectory.deliveries[k]
-
-
-class Live:
-    """The robot driven by the estimate: same random numbers, another trajectory an estimator."""
-
-    def __init__(self, simulator: Simulator, controller: Controller, frame_time: float):
-        self.instants = simulator.instants
-        self.x0 = simulator.x0
-        self._simulator, self._controller, self._frame_time = simulator, controller, frame_time
-        self._x, self._u = simulator.x0, np.empty(0)
-
-    def control(self, k: int, estimate: Array) -> Array:
-        """The controller's answer to the estimate."""
-        instant = self.instants[k]
-        if instant.control:
-            step = round(instant.start / self._frame_time)
-            self._u = self._controller(step, instant.start, finite(estimate, self.x0))
-        return self._u
-
-    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
-        """Step the robot."""
-        self._x, arrived = self._simulator.step(k, self._x, u)
-        return self._x, arrived
 
 
 def run_filter(
@@ -121,29 +79,28 @@ def run_filter(
     """
     mean0, cov0 = prior
     began = time.thread_time()
-    belief = start(estimator, mean0, cov0, keys)
-    recorder = Recorder(estimator, space, len(source.instants), len(mean0), keep_cov)
-    innovations = Innovations(channels, len(source.instants), len(mean0), keep_innovations)
-    past = None
+    belief, events = start(estimator, mean0, cov0, keys), source.events
+    recorder = Recorder(estimator, space, len(events), len(mean0), keep_cov)
+    innovations = Innovations(channels, len(events), len(mean0), keep_innovations)
+    history = None
     if hasattr(estimator, "smooth"):
-        past = _passage(belief, [i.end for i in source.instants])
-    inbox, delays = Inbox(channels), delays or Delays()
-    fusion = Fusion(estimator, source.instants, inbox, delays, innovations, past)
+        history = _history(belief, [event.instant.end for event in events])
+    fusion = Fusion(estimator, belief, Inbox(channels), delays or Delays(), innovations, history)
     cpu_time = time.thread_time() - began
     with quiet():
         recorder.add(0, source.x0, belief)
-        for k in range(len(source.instants)):
+        for k, event in enumerate(events):
             if stop():
                 return None
             u = source.control(k, recorder.mean[k])
             x, arrived = source.advance(k, u)
             began = time.thread_time()
-            belief = fusion.step(k, belief, u, arrived)
+            fusion.step(event, u, arrived)
             cpu_time += time.thread_time() - began
-            recorder.add(k + 1, x, belief)
-        if past is not None:
+            recorder.add(k + 1, x, fusion.belief)
+        if history is not None:
             began = time.thread_time()
-            smoothed = cast(Smoother, estimator).smooth(past)
+            smoothed = cast(Smoother, estimator).smooth(history)
             cpu_time += time.thread_time() - began
             if len(smoothed) != len(recorder.truth):
                 raise DimensionError(
@@ -155,7 +112,7 @@ def run_filter(
     return recorder.traces(innovations.traces() | {"late": fusion.late, "cpu_time": cpu_time})
 
 
-def _passage(start: Any, ends: list[float]) -> FilterHistory:
+def _history(start: Any, ends: list[float]) -> FilterHistory:
     """One to be filled in."""
     count = len(ends)
     return FilterHistory(

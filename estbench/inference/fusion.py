@@ -1,23 +1,25 @@
-"""The belief at each instant, given everything that has arrived by then.
+"""The belief after each event, given everything that has arrived by then.
 
-A late reading is fused exactly by going back: the belief before the update at the instant it
-belongs to is taken from memory, and everything received since is replayed.
+A late reading is fused exactly by going back: the belief before the update at the event it belongs
+to is taken from memory, and everything received since is replayed (Bar-Shalom, Li & Kirubarajan
+2001, sec. 6.4).
 """
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.protocol import Estimator, FilterHistory, Measurement
 from estbench.inference.inbox import Inbox
-from estbench.inference.innovations import Innovations, check
+from estbench.inference.innovations import InnovationLog, check
 from estbench.inference.run_subset import ALL, RunIndex, put, some, take, within
+from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
-from estbench.sensors.timing import Instant
-from estbench.shapes import Array
+from estbench.shapes import Array, Ints, Mask
+from estbench.spaces.selection import select
 
 
 @dataclass(frozen=True)
@@ -39,97 +41,189 @@ class Delays:
     nominal: frozenset[str] = frozenset()
 
 
+@dataclass(eq=False)
+class _Step:
+    """One event: the controls, the belief before its updates, and rows that began before it."""
+
+    event: Event
+    u: Array
+    prior: Any
+    began: list[tuple[Mask, Any]]
+
+
 class Fusion:
-    """One estimator's way from instant to instant.
+    """One estimator's way from event to event, on rows of which any may begin anew.
 
     Args:
         estimator: any object of the protocol.
-        instants: the schedule.
+        belief: of all rows at the start.
         inbox: an empty one.
         delays: what to do about late readings.
-        innovations: the recorder that is told of every update.
-        past: to be filled in for a smoother.
+        log: the recorder that is told of every update.
+        history: to be filled in for a smoother.
 
     Attributes:
-        late: per run, readings that came after the window and were not fused.
+        belief: of all rows, now.
+        late: readings of each row that came after the window and were not fused `(row,)`.
     """
 
     def __init__(
         self,
         estimator: Estimator,
-        instants: Sequence[Instant],
+        belief: Any,
         inbox: Inbox,
         delays: Delays,
-        innovations: Innovations,
-        past: FilterHistory | None = None,
+        log: InnovationLog,
+        history: FilterHistory | None = None,
     ):
-        self._estimator, self._instants, self._inbox, self._delays = (
-            estimator, instants, inbox, delays,
-        )  # fmt: skip
-        self._innovations, self._past = innovations, past
-        self._ticks = np.array([i.tick for i in instants])
+        self.belief = belief
+        self._estimator, self._inbox, self._delays = estimator, inbox, delays
+        self._log, self._history = log, history
         self._memory = delays.window > 0 and delays.handling == "exact"
-        self._priors: dict[int, Any] = {}
-        self._controls: dict[int, Array] = {}
+        self._steps: list[_Step] = []  # the last of them, up to the window
+        self._count = 0  # events so far
+        self._began: list[tuple[Mask, Any]] = []
+        self._start = np.zeros(log.rows, np.int64)  # the first event of each row's episode
         self._checked: set[tuple[str, ...]] = set()
-        self.late = np.zeros(innovations.runs, np.int64)
+        self.late = np.zeros(log.rows, np.int64)
 
-    def step(self, k: int, belief: Any, u: Array, arrived: list[Delivery]) -> Any:
-        """The belief at the end of instant k, given that at its start."""
+    def restart(self, rows: Mask, fresh: Any) -> None:
+        """Rows begin anew: what they had is forgotten.
+
+        Args:
+            rows: `(row,)`.
+            fresh: a belief of all rows, of which those of the mask are taken.
+
+        Raises:
+            SelectionError: the belief cannot be taken apart by rows; nothing has changed.
+        """
+        self.belief = select(rows, fresh, self.belief)
+        self._start[rows], self.late[rows] = self._count, 0
+        if self._memory:
+            self._began.append((rows, fresh))
+
+    def step(self, event: Event, u: Array, arrived: Sequence[Delivery]) -> int:
+        """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there.
+
+        Returns:
+            The number of the first event that may be updated again.
+        """
+        k = self._count
         first = np.full(len(self.late), k)
         for delivery in arrived:
-            instant = self._place(k, delivery)
-            if instant is None:
-                self.late += 1 if delivery.mask is None else delivery.mask
-                continue
-            self._inbox.add(instant, delivery)
-            came = ALL if delivery.mask is None else delivery.mask
-            first[came] = np.minimum(first[came], instant)
-        belief = self._predict(k, self._replayed(k, belief, first), u)
-        if self._memory:
-            self._controls[k], self._priors[k] = u, belief
-        belief = self._update(k, belief, u)
-        self._forget(k)
-        return belief
-
-    def _replayed(self, k: int, belief: Any, first: NDArray[np.int64]) -> Any:
-        """The belief at the start of instant k with all that came late.
-
-        Each run goes back no further than it must: to the instant `first` `(run,)`.
-        """
+            self._file(k, event, delivery, first)
         oldest = int(first.min())
-        rows, part = ALL, belief
-        for j in range(oldest, k):
-            u = self._controls[j]
-            if j > oldest:
-                part = self._predict(j, part, u[rows])
-                self._priors[j] = put(self._priors[j], rows, part)
-            rows = ALL if self._past is not None else some(self._priors[j], np.less_equal(first, j))
-            part = self._update(j, take(self._priors[j], rows), u, rows)
-        return put(belief, rows, part)
+        if oldest < k:
+            self.belief = self._replayed(k, oldest, first)
+        self.belief = self._predict(event, self.belief, u)
+        step = _Step(event, u, self.belief, self._began)
+        if self._memory:
+            self._steps.append(step)
+            self._began = []
+        self._count += 1
+        self.belief = self._update(k, step, self.belief)
+        return self._forget(event.tick)
 
-    def _place(self, k: int, delivery: Delivery) -> int | None:
-        """The instant at which the filter fuses a reading that arrives at k, None if too late."""
-        if self._delays.handling == "naive":
+    def _file(self, k: int, event: Event, delivery: Delivery, first: Ints) -> None:
+        """Put a delivery where it is to be fused, and note the event `(row,)` it goes back to."""
+        place = self._place(k, event, delivery)
+        if isinstance(place, int):
+            self._add(place, delivery, delivery.mask, first)
+            return
+        came = np.ones(len(first), bool) if delivery.mask is None else delivery.mask
+        for number in np.unique(place[came]).tolist():
+            self._add(number, delivery, came & (place == number), first)
+
+    def _add(self, number: int, delivery: Delivery, mask: Mask | None, first: Ints) -> None:
+        if number < 0:
+            self.late += 1 if mask is None else mask
+            return
+        self._inbox.add(number, replace(delivery, mask=mask))
+        came = ALL if mask is None else mask
+        first[came] = np.minimum(first[came], number)
+
+    def _place(self, k: int, event: Event, delivery: Delivery) -> int | Ints:
+        """The event at which the filter fuses a reading that arrives at the k-th; -1 if too late.
+
+        Where the rows differ `(row,)`.
+        """
+        channel, delays = delivery.channel, self._delays
+        if delays.handling == "naive":
             return k
-        nominal = delivery.channel in self._delays.nominal
-        instant = delivery.due if nominal else delivery.taken
-        if delivery.channel in self._delays.believed:
-            tick = self._ticks[k] - self._delays.believed[delivery.channel]
-            instant = int(np.searchsorted(self._ticks, tick, "right")) - 1
-        if instant < 0 or self._ticks[k] - self._ticks[instant] > self._delays.window:
-            return None
-        return min(instant, k)
+        tick: int | Ints = delivery.due if channel in delays.nominal else delivery.taken
+        if channel in delays.believed:
+            tick = event.tick - delays.believed[channel]
+        if isinstance(tick, int):
+            number = self._last(k, event, tick)
+            if number < 0 or not self._began_after(number):
+                return number
+            tick = np.full(len(self._start), tick)
+        return self._last_of_rows(k, event, tick)
 
-    def _predict(self, k: int, belief: Any, u: Array) -> Any:
-        instant = self._instants[k]
-        return self._estimator.predict(belief, u, instant.start, instant.end - instant.start)
+    def _last(self, k: int, event: Event, tick: int) -> int:
+        """The last event that ends at a tick or before, -1 where that is beyond the window."""
+        if tick >= event.tick:
+            return k
+        steps = self._steps
+        place = bisect_right(steps, tick, key=lambda step: step.event.tick) - 1
+        if place < 0 or event.tick - steps[place].event.tick > self._delays.window:
+            return -1
+        return k - len(steps) + place
 
-    def _update(self, k: int, belief: Any, u: Array, rows: RunIndex = ALL) -> Any:
-        """The belief of some runs at instant k with all that belongs there."""
-        joints = self._inbox.at(k)
+    def _began_after(self, number: int) -> bool:
+        """Whether rows have begun anew, or gone on by themselves, since an event."""
+        return bool((self._start > number).any()) or any(
+            step.event.rows is not None for step in self._steps
+        )
+
+    def _last_of_rows(self, k: int, event: Event, tick: Ints) -> Ints:
+        """As `_last`, of the events of each row's own episode `(row,)`."""
+        out = np.where(tick >= event.tick, k, -1)
+        for back, step in enumerate(reversed(self._steps), 1):
+            if event.tick - step.event.tick > self._delays.window:
+                break
+            fits = (out < 0) & (step.event.tick <= tick) & (k - back >= self._start)
+            out[fits if step.event.rows is None else fits & step.event.rows] = k - back
+        return out
+
+    def _replayed(self, k: int, oldest: int, first: Ints) -> Any:
+        """The belief before the k-th event with all that came late.
+
+        Each row goes back no further than it must: to the event `first` `(row,)`.
+        """
+        rows, part = ALL, self.belief
+        for j in range(oldest, k):
+            step = self._steps[j - k]
+            if j > oldest:
+                part = self._predict(step.event, self._begun(part, step.began, rows), step.u, rows)
+                step.prior = put(step.prior, rows, part)
+            everyone = self._history is not None
+            rows = ALL if everyone else some(step.prior, np.less_equal(first, j))
+            part = self._update(j, step, take(step.prior, rows), rows)
+        return put(self.belief, rows, self._begun(part, self._began, rows))
+
+    def _begun(self, part: Any, began: list[tuple[Mask, Any]], rows: RunIndex) -> Any:
+        """The belief of some rows, of which those that began anew are as they began."""
+        for mask, fresh in began:
+            part = select(mask[rows], take(fresh, rows), part)
+        return part
+
+    def _predict(self, event: Event, belief: Any, u: Array, rows: RunIndex = ALL) -> Any:
+        """The belief of some rows at the end of an event; of those that do not go on, as it was."""
+        instant = event.instant
+        start, dt = instant.start, instant.end - instant.start
+        if event.rows is None:
+            return self._estimator.predict(belief, u[rows], start, dt)
+        going = event.rows[rows]
+        few = some(belief, going)
+        moved = self._estimator.predict(take(belief, few), u[within(rows, few)], start, dt)
+        return select(going, moved, belief) if isinstance(few, slice) else put(belief, few, moved)
+
+    def _update(self, k: int, step: _Step, belief: Any, rows: RunIndex = ALL) -> Any:
+        """The belief of some rows at the k-th event with all that belongs there."""
+        joints, u = self._inbox.at(k), step.u
         if joints:
-            self._innovations.clear(k, rows)
+            self._log.clear(k, rows)
         for layer, joint in enumerate(joints):
             came, masked = ALL, {}
             if joint.mask is not None:
@@ -140,16 +234,16 @@ class Fusion:
             if not len(y):
                 continue
             answer = self._estimator.update(
-                take(belief, came), y, u[runs], self._instants[k].end, joint.channels, **masked
+                take(belief, came), y, u[runs], step.event.instant.end, joint.channels, **masked
             )
             if joint.channels not in self._checked:
                 self._check(answer, joint.channels, len(y))
             part, innovation = answer
             belief = put(belief, came, part)
-            self._innovations.put(k, layer, joint.channels, innovation, masked.get("mask"), runs)
-        if self._past is not None:  # a replay writes over what it changes
-            self._past.beliefs[k + 1], self._past.controls[k] = belief, u
-            self._past.measurements[k + 1] = [
+            self._log.put(k, layer, joint.channels, innovation, masked.get("mask"), runs)
+        if self._history is not None:  # a replay writes over what it changes
+            self._history.beliefs[k + 1], self._history.controls[k] = belief, u
+            self._history.measurements[k + 1] = [
                 Measurement(joint.y, u, joint.channels, joint.mask) for joint in joints
             ]
         return belief
@@ -162,12 +256,13 @@ class Fusion:
         if np.any(answer[1].dof):
             self._checked.add(channels)
 
-    def _forget(self, k: int) -> None:
-        """Drop what no reading can reach any more."""
-        if not self._memory:
-            self._inbox.forget(k + 1)
-            return
-        oldest = int(np.searchsorted(self._ticks, self._ticks[k] - self._delays.window))
-        self._inbox.forget(oldest)
-        for j in [j for j in self._priors if j < oldest]:
-            del self._priors[j], self._controls[j]
+    def _forget(self, tick: int) -> int:
+        """Drop what no reading can reach any more; the first event that is left."""
+        oldest = tick - self._delays.window
+        gone = 0
+        while gone < len(self._steps) and self._steps[gone].event.tick < oldest:
+            gone += 1
+        del self._steps[:gone]
+        left = self._count - len(self._steps)
+        self._inbox.forget(left)
+        return left

@@ -1,7 +1,7 @@
 """What is recorded of every update: NIS, lag products, and ν and S themselves where asked for."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -54,6 +54,32 @@ def check(estimator: str, answer: Any, runs: int, m: int) -> None:
             )
 
 
+class InnovationLog(Protocol):
+    """What is told of every update.
+
+    Attributes:
+        rows: how many there are.
+    """
+
+    rows: int
+
+    def clear(self, k: int, rows: RunIndex) -> None:
+        """Some rows are updated anew at the k-th event: what was put of them there is void."""
+        ...
+
+    def put(
+        self,
+        k: int,
+        layer: int,
+        channels: Sequence[str],
+        innovation: Innovation,
+        mask: Mask | None,
+        rows: RunIndex,
+    ) -> None:
+        """Some rows were updated; see `Innovations.put`."""
+        ...
+
+
 class Innovations:
     """The innovations of a batch, noted as the event loop fuses readings.
 
@@ -67,13 +93,13 @@ class Innovations:
         keep: whether to record ν and S too.
 
     Attributes:
-        runs: how many.
+        rows: how many runs.
     """
 
     def __init__(self, spaces: Mapping[str, Manifold], count: int, runs: int, keep: bool = False):
         stops = np.cumsum([0, *(space.n for space in spaces.values())])
         self._columns = {name: np.arange(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
-        self.runs = runs
+        self.rows = runs
         self._nis, self._dof = np.zeros((count, runs)), np.zeros((count, runs), np.int64)
         self._lags = Lags(runs, {name: space.n for name, space in spaces.items()})
         shape = count + 1, runs, stops[-1]
@@ -127,7 +153,7 @@ class Innovations:
     ) -> None:
         """Write ν and S where they belong."""
         residual, cov = (kept[k + 1] for kept in self._kept)
-        runs = np.arange(self.runs)[rows]
+        runs = np.arange(self.rows)[rows]
         where = np.concatenate([self._columns[name] for name in channels])
         came = np.broadcast_to(True if mask is None else mask, (len(runs), len(where)))
         vector, block = np.ix_(runs, where), np.ix_(runs, where, where)

@@ -8,11 +8,11 @@ import numpy as np
 from estbench.consistency import records
 from estbench.errors import EstbenchError, EstimatorError, user_error_location
 from estbench.experiment import setup
-from estbench.inference.event_loop import Live, Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
 from estbench.randomness import streams
-from estbench.simulation.truth import Trajectory, simulate
+from estbench.simulation.sources import Live, Recorded, Trajectory, record
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""
@@ -90,17 +90,15 @@ def traced(
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[tuple[str, Traces | None]]:
     """The traces of each estimator on some runs, one after the other; None ends it: stopped."""
-    period = prepared.plant.period
+
+    def driven() -> Live:
+        controller = prepared.controller(runs)
+        return Live(prepared.simulator(runs), prepared.instants, controller, prepared.plant.period)
+
     live = prepared.scenario.control.observe == "estimate"
-    trajectory: Trajectory | None = None
-    if not live:
-        trajectory = simulate(prepared.simulator(runs), prepared.controller(runs), period)
+    trajectory: Trajectory | None = None if live else record(driven())
     for label in prepared.scenario.estimators:
-        source = (
-            Recorded(prepared.instants, trajectory)
-            if trajectory is not None
-            else Live(prepared.simulator(runs), prepared.controller(runs), period)
-        )
+        source = driven() if trajectory is None else Recorded(prepared.instants, trajectory)
         mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
         keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
         estimator = prepared.estimator(label)

@@ -8,24 +8,35 @@ import zlib
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.randomness import seeding
-from estbench.shapes import Array
+from estbench.shapes import Array, Keys
+
+Seeds = int | Sequence[int]
+"""The seed of all runs, or one for each."""
+_FEW = 4
+"""Runs up to which numpy's own seeding is faster than that of many together."""
 
 
-def streams(seed: int, runs: Sequence[int], purpose: str) -> Iterator[np.random.Generator]:
+def streams(seed: Seeds, runs: Sequence[int], purpose: str) -> Iterator[np.random.Generator]:
     """Each run's generator for a purpose: `SFC64(SeedSequence(seed, spawn_key=(run, word)))`.
 
     The word is the purpose's CRC-32.
     """
-    for words in seeding.words(seed, runs, zlib.crc32(purpose.encode()), 3):
+    word = zlib.crc32(purpose.encode())
+    if not isinstance(seed, int) or len(runs) <= _FEW:
+        seeds = [seed] * len(runs) if isinstance(seed, int) else seed
+        for own, run in zip(seeds, runs):
+            sequence = np.random.SeedSequence(own, spawn_key=(run, word))
+            yield np.random.Generator(np.random.SFC64(sequence))
+        return
+    for words in seeding.words(seed, runs, word, 3):
         # numpy's stubs leave ISeedSequence out.
         bits = np.random.SFC64(seeding.Seed(words))  # pyright: ignore[reportArgumentType]
         yield np.random.Generator(bits)
 
 
-def normals(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
+def normals(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
     """Standard normals `(steps, run, width)`, time-major; run i's come from its own stream.
 
     The first steps do not depend on how many follow.
@@ -37,7 +48,7 @@ def normals(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int
     return out
 
 
-def uniforms(seed: int, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
+def uniforms(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
     """As `normals`, uniform on [0, 1)."""
     out = np.empty((steps, len(runs), width))
     for row, own in enumerate(streams(seed, runs, purpose)):
@@ -45,6 +56,10 @@ def uniforms(seed: int, runs: Sequence[int], purpose: str, steps: int, width: in
     return out
 
 
-def run_keys(seed: int, runs: Sequence[int], purpose: str) -> NDArray[np.uint64]:
+def run_keys(seed: Seeds, runs: Sequence[int], purpose: str) -> Keys:
     """A 64-bit key a run `(run,)`, for estimators that draw random numbers of their own."""
-    return seeding.words(seed, runs, zlib.crc32(purpose.encode()), 1)[:, 0]
+    word = zlib.crc32(purpose.encode())
+    if isinstance(seed, int):
+        return seeding.words(seed, runs, word, 1)[:, 0]
+    keys = [seeding.words(own, [run], word, 1)[0, 0] for own, run in zip(seed, runs)]
+    return np.array(keys, np.uint64)

@@ -15,14 +15,12 @@ from estbench.report.figures.data import Steps
 from estbench.report.figures.traces import TraceStatistics
 from estbench.report.sources import Entry
 from estbench.robots import layout, mjcf
-from estbench.sensors.channel import Channel
+from estbench.sensors.description import HEADINGS, ChannelDescription, describe
 from estbench.store.versions import known
 from estbench.tables.quantity import quantity
 
 DIVERGED_ROWS = 100
 """Diverged runs listed of one estimator."""
-_SHOWN = ("noise", "noise_density", "cov", "rate", "enabled", "add", "of", "function", "unit")
-"""Keys of a channel that the table shows in columns of their own."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,8 @@ class Facts:
         title: of the source.
         description: one line.
         rows: pairs of name and value.
-        sensors: rows of channel, type, noise, unit, rate, imperfections; empty without the robot.
+        headings: of `sensors`.
+        sensors: one row per channel; empty without the robot.
         noise: rows of coordinate, initial σ, process noise.
         differences: how the filter's model differs from the truth, one line each.
         toml: the scenario as it was run.
@@ -43,6 +42,7 @@ class Facts:
     title: str
     description: str
     rows: tuple[tuple[str, str], ...]
+    headings: tuple[str, ...]
     sensors: tuple[tuple[str, ...], ...]
     noise: tuple[tuple[str, ...], ...]
     differences: tuple[str, ...]
@@ -100,7 +100,7 @@ def facts(source: Stored) -> Facts:
             for i, v in enumerate(known(attrs))
         ),
     ]
-    sensors: tuple[tuple[str, ...], ...] = ()
+    channels: tuple[ChannelDescription, ...] = ()
     noise: tuple[tuple[str, ...], ...] = ()
     problem = ""
     try:
@@ -110,37 +110,15 @@ def facts(source: Stored) -> Facts:
         rows.insert(
             2, ("physics", f"{model.opt.timestep:g} s x {scenario.model.frame_skip}, {integrator}")
         )
-        sensors = tuple(_sensor(prepared, channel) for channel in prepared.channels)
+        channels = describe(prepared.channels, scenario.filter)
         noise = _noise(prepared)
     except EstbenchError as error:
         problem = " ".join(str(error).split())
     return Facts(
-        source.title, scenario.description, tuple(rows), sensors, noise,
-        tuple(_differences(source)), scenario.to_toml(), problem,
+        source.title, scenario.description, tuple(rows), HEADINGS,
+        tuple(channel.row() for channel in channels), noise,
+        tuple(_differences(source, channels)), scenario.to_toml(), problem,
     )  # fmt: skip
-
-
-def _sensor(prepared: setup.Setup, channel: Channel) -> tuple[str, ...]:
-    """Channel, type, noise, unit, rate, and whatever else is wrong with it."""
-    std = np.unique(np.sqrt(np.diag(channel.cov)))
-    timing = channel.timing
-    also = []
-    section = prepared.scenario.channels.get(channel.name)
-    if section is not None:
-        for name, field in type(section).model_fields.items():
-            value = getattr(section, name)
-            if name not in _SHOWN and value != field.get_default(call_default_factory=True):
-                also.append(f"{name.replace('_', ' ')} {value}")
-    if timing.latency and not any(text.startswith("latency") for text in also):
-        also.append(f"latency {timing.latency * timing.timestep:g} (from the MJCF)")
-    return (
-        channel.name,
-        channel.kind,
-        " ".join(f"{s:.3g}" for s in std),
-        channel.space.units[0],
-        f"{1 / (timing.period * timing.timestep):g} Hz",
-        ", ".join(also),
-    )
 
 
 def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
@@ -163,7 +141,8 @@ def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-def _differences(source: Stored) -> list[str]:
+def _differences(source: Stored, channels: Sequence[ChannelDescription]) -> list[str]:
+    """How the true robot differs from the MJCF, and the filter's model from the true robot."""
     scenario = source.scenario
     lines = [f"truth: {key} = {value}" for key, value in scenario.truth.set.items()]
     for key, draw in scenario.truth.draw.items():
@@ -172,7 +151,9 @@ def _differences(source: Stored) -> list[str]:
         lines.append(f"truth: {key} drawn once a run, σ = {' + '.join(spread) or '0'}")
     for name, field in type(scenario.filter).model_fields.items():
         value = getattr(scenario.filter, name)
-        if value != field.get_default(call_default_factory=True):
+        if name == "channels":
+            lines += [f"filter: {c.name}: {', '.join(c.belief)}" for c in channels if c.belief]
+        elif value != field.get_default(call_default_factory=True):
             lines += (
                 [f"filter: {k} = {v}" for k, v in value.items()]
                 if isinstance(value, dict)

@@ -91,7 +91,7 @@ class BatchBackend:
         Args:
             x: `(run, nx)` or `(run, point, nx)`.
             u: controls, broadcast against x's leading axes: `(run, nu)` or `(run, point, nu)`.
-            t: time at the start, s.
+            t: time at the start, s; `(run, 1)` where the runs differ.
             nstep: physics steps.
             force: generalized forces `(run, point, nv)` held over the steps.
         """

@@ -22,7 +22,12 @@ from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
 from estbench.robots.layout import actuator_names
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import is_positive_semidefinite, psd_factor, rescaled
+from estbench.spaces.linalg import (
+    is_positive_semidefinite,
+    psd_factor,
+    rescaled,
+    row_product,
+)
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 
@@ -129,10 +134,24 @@ class Disturbance:
             return self.scale * value
         return rescaled(self.density, np.sqrt(value))
 
-    def sample(self, white: Float[Array, "run rank"], t: float, dt: float) -> Float[Array, "run k"]:
-        """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`."""
+    def sample(
+        self, white: Float[Array, "run rank"], t: float | Array, dt: float | Array
+    ) -> Float[Array, "run k"]:
+        """The disturbance over [t, t + dt].
+
+        Args:
+            white: standard normal numbers.
+            t: start of the interval, s; one number, or one per run `(run, 1)`.
+            dt: length of the interval, s; as for `t`.
+        """
         size = np.sqrt(dt) if self.kind == "additive" else np.sqrt(1.0 / dt)
-        return white @ self.root(t).T * size
+        if self.schedule is None or isinstance(t, float):
+            return row_product(white, self.root(float(np.ravel(t)[0]))) * size
+        out = np.empty((len(white), len(self.density)))
+        for now in np.unique(t):
+            here = t[:, 0] == now
+            out[here] = row_product(white[here], self.root(float(now)))
+        return out * size
 
     def covariance(
         self,

@@ -88,6 +88,7 @@ class Plan:
         known: where the readings are numbers of the state and nothing else (joint encoders and
             tachometers): which of x `(ny,)`, and the Jacobian H `(ny, n)`; else None.
         reach: how many tangent coordinates, from the first on, the readings can depend on.
+        timed: whether a reading is a function of the user's, which is given the time.
     """
 
     def __init__(self, model: mujoco.MjModel, sources: Sequence[Measurand]):
@@ -101,9 +102,14 @@ class Plan:
         nv, na = model.nv, model.na
         reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position shows no velocity
         self.reach = reach[-1] if self._sources else reach[self._stage]
+        self.timed = bool(self._sources)
 
     def read(
-        self, backend: Backend, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
+        self,
+        backend: Backend,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
     ) -> Float[Array, "*lead ny"]:
         """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
         if self.known is not None:
@@ -116,6 +122,7 @@ class Plan:
         parts = []
         for source in self._sources:
             if source.function is not None:
+                assert isinstance(t, float)  # one time for all: see `timed`
                 parts.append(source.call(x, u, t))
                 continue
             parts.append(sensed[..., start : start + source.space.nx])

@@ -28,18 +28,18 @@ class SensorChannel:
 
     Attributes:
         name: the channel's name.
-        index: the MuJoCo sensor; any number where `source` is given.
+        index: the MuJoCo sensor; any number where `measurand` is given.
         cov: R `(m, m)` in the tangent of the reading.
         scale: over time, a factor on the noise's std (one, or one an axis) or R itself `(m, m)`;
             None for a constant.
-        source: what it reads, where that is not one sensor.
+        measurand: what it reads, where that is not one sensor.
     """
 
     name: str
     index: int
     cov: Float[Array, "m m"]
     scale: Scale | None = None
-    source: Measurand | None = None
+    measurand: Measurand | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +208,7 @@ class MujocoModel:
             if name not in known:
                 raise ScenarioError(f"no channel '{name}'{did_you_mean(name, known)}")
         chosen = self.channels if names is None else [known[name] for name in names]
-        sources = [c.source or Measurand.of_sensors(self.mjmodel, c.index) for c in chosen]
+        sources = [c.measurand or Measurand.of_sensors(self.mjmodel, c.index) for c in chosen]
         plan = Plan(self.mjmodel, sources)
         R = np.zeros((plan.space.n, plan.space.n))
         scales = []

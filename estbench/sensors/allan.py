@@ -13,6 +13,7 @@ import numpy as np
 from estbench.errors import EstbenchError, MissingExtraError
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
+from estbench.sensors.description import ChannelDescription
 from estbench.sensors.sampling import Readings
 from estbench.shapes import Array
 
@@ -58,7 +59,7 @@ def deviation(
 
 
 @dataclass(frozen=True)
-class Figures:
+class NoiseParameters:
     """What a datasheet says of one axis.
 
     Attributes:
@@ -74,14 +75,14 @@ class Figures:
     drift_time: float = 1.0
 
     @classmethod
-    def of(cls, channel: Channel, axis: int = 0) -> "Figures":
+    def of(cls, channel: Channel, axis: int = 0) -> "NoiseParameters":
         """Those of a channel's noise and drifts."""
-        period = channel.timing.period * channel.timing.timestep
-        density = float(np.sqrt(channel.cov[axis, axis] * period))
-        part = channel.part
-        if part is None:
+        density = float(np.sqrt(channel.cov[axis, axis] * channel.timing.interval))
+        imperfections = channel.imperfections
+        if imperfections is None:
             return cls(density)
-        return cls(density, float(part.walk[axis]), float(part.drift[axis]), part.drift_time)
+        walk, drift = float(imperfections.walk[axis]), float(imperfections.drift[axis])
+        return cls(density, walk, drift, imperfections.drift_time)
 
     def expected(self, taus: Array) -> Array:
         """The Allan deviation `(tau,)` at averaging times `(tau,)`, s."""
@@ -99,11 +100,13 @@ def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> 
     Raises:
         EstbenchError: the channel reads an attitude, or loses or delays readings.
     """
-    part = channel.part
-    if not channel.space.flat or not channel.timing.punctual or (part and part.dropout):
+    gaps = channel.imperfections is not None and channel.imperfections.dropout > 0
+    if gaps or not channel.space.flat or not channel.timing.punctual:
+        described = ChannelDescription.of(channel)
         raise EstbenchError(
-            f"channel '{channel.name}' has a quaternion, gaps, jitter or latency; an Allan "
-            "deviation needs evenly spaced numbers"
+            f"channel '{channel.name}' has a quaternion, gaps, jitter or latency "
+            f"({described.summary}; {described.imperfections_text}); an Allan deviation needs "
+            "evenly spaced numbers"
         )
     named = [(channel.name, channel.timing)]
     step = channel.timing.timestep
@@ -131,15 +134,13 @@ def plot(channel: Channel, duration: float = 600.0, seed: int = 0, runs: int = 8
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtraError("matplotlib", "plot") from None
-    taus, found = deviation(
-        at_rest(channel, duration, seed, runs), channel.timing.period * channel.timing.timestep
-    )
+    taus, found = deviation(at_rest(channel, duration, seed, runs), channel.timing.interval)
     space = channel.space
     figure = Figure(figsize=(3.4 * space.n + 0.6, 3.4), layout="constrained")
     for axis, ax in enumerate(figure.subplots(1, space.n, sharey=True, squeeze=False)[0]):
         ax.loglog(taus, found[:, 0, axis], color="#56B4E9", linewidth=0.8, label="simulated runs")
         ax.loglog(taus, found[:, 1:, axis], color="#56B4E9", linewidth=0.8)
-        expected = Figures.of(channel, axis).expected(taus)
+        expected = NoiseParameters.of(channel, axis).expected(taus)
         ax.loglog(taus, expected, "--", color="#D55E00", linewidth=1.6, label="datasheet")
         ax.set_title(space.names[axis], fontsize="medium")
         ax.set_xlabel("averaging time τ (s)")

@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.randomness import streams
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
-from estbench.sensors import datasheet, schedules
-from estbench.sensors import source as channel_source
+from estbench.sensors import datasheet, measurands, schedules
 from estbench.sensors.imperfections import Imperfections
-from estbench.sensors.timing import Native, Timing
+from estbench.sensors.timing import MjcfTiming, Timing
 from estbench.shapes import Array
 from estbench.spaces.manifold import Manifold
 
@@ -30,30 +28,30 @@ class Channel:
 
     Attributes:
         name: the MuJoCo sensor's name, or the scenario's for what is not one sensor.
-        source: its noise-free reading.
+        measurand: what it reads, without noise.
         sensors: names of the MuJoCo sensors it reads; none for a function.
         kind: type of the sensor(s), or `function`.
         cov: R `(m, m)`; where a schedule gives R itself, that of t = 0.
         columns: where the reading stands in sensordata; none for a function.
         timing: rate, phase, jitter, latency.
-        part: biases, quantization, faults, ...; None for white noise only.
+        imperfections: biases, quantization, faults, ...; None for white noise only.
         schedule: factor on the noise's std, or R itself, over time; or None.
     """
 
     name: str
-    source: Measurand
+    measurand: Measurand
     sensors: tuple[str, ...]
     kind: str
     cov: Array
     columns: NDArray[np.intp]
     timing: Timing
-    part: Imperfections | None = None
+    imperfections: Imperfections | None = None
     schedule: schedules.Schedule | None = None
 
     @property
     def space(self) -> Manifold:
         """The manifold of its reading; names and units."""
-        return self.source.space
+        return self.measurand.space
 
     @property
     def index(self) -> int:
@@ -62,16 +60,11 @@ class Channel:
         Raises:
             ScenarioError: it is several together, or a function of the state.
         """
-        if len(self.source.sensors) != 1 or self.source.axes is not None:
+        if len(self.measurand.sensors) != 1 or self.measurand.axes is not None:
             raise ScenarioError(
                 f"channels.{self.name} is no single MuJoCo sensor, which is all that this knows"
             )
-        return self.source.sensors[0]
-
-    @property
-    def period(self) -> int:
-        """Physics steps between readings."""
-        return self.timing.period
+        return self.measurand.sensors[0]
 
     @cached_property
     def factor(self) -> Array:
@@ -80,14 +73,7 @@ class Channel:
         factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
         return factor.astype(np.float64)
 
-    def noise(self, seed: int, runs: Sequence[int], times: Array) -> Array:
-        """White v ~ N(0, R) `(len(times), run, m)` of readings that are due at these times, s."""
-        white = streams.normals(seed, runs, f"sensor:{self.name}", len(times), self.space.n)
-        if self.schedule is None:
-            return self.coloured(white, 0.0)
-        return np.stack([self.coloured(w, float(t)) for w, t in zip(white, times)])
-
-    def coloured(self, white: Array, t: float) -> Array:
+    def noise_from(self, white: Array, t: float) -> Array:
         """Noise ~ N(0, R) `(..., m)` of readings due at t, s, from standard normals `(..., m)`."""
         factor, size = self.factor, None
         if self.schedule is not None:
@@ -107,7 +93,7 @@ def build(
     use: Sequence[str] | None,
     frame_skip: int,
     duration: float = 0.0,
-    native: Mapping[str, Native] | None = None,
+    mjcf_timings: Mapping[str, MjcfTiming] | None = None,
     believed: Mapping[str, BelievedChannelSection] | None = None,
 ) -> tuple[list[Channel], list[str]]:
     """The channels in use, and notices about what was assumed.
@@ -120,7 +106,7 @@ def build(
         use: names in use, or None for all.
         frame_skip: physics steps of a filter step: the default period.
         duration: of a run, s; schedules must last as long.
-        native: name -> the MJCF's own rhythm of a sensor with a history.
+        mjcf_timings: name -> the MJCF's own rhythm of a sensor with a history.
         believed: the scenario's `[filter.channels.NAME]`; a channel whose R is given there may be
             free of noise.
 
@@ -132,33 +118,36 @@ def build(
     channels, notices = [], _idle(sections, use)
     for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
-        source, kind = channel_source.build(name, section, model, names)
+        measurand, kind = measurands.build(name, section, model, names)
         timing = _timing(
             section, where, model.opt.timestep, frame_skip,
-            [(native or {}).get(names[i], Native()) for i in source.sensors],
+            [(mjcf_timings or {}).get(names[i], MjcfTiming()) for i in measurand.sensors],
         )  # fmt: skip
-        rate = 1.0 / (timing.period * timing.timestep)
         belief = (believed or {}).get(name, BelievedChannelSection())
         exact = belief.noise is not None or belief.cov is not None
-        std = _per_axis(model, source, model.sensor_noise)
+        std = _per_axis(model, measurand, model.sensor_noise)
         schedule = schedules.build(
-            section.schedule, source.space.n, duration, f"{where}.schedule"
+            section.schedule, measurand.space.n, duration, f"{where}.schedule"
         )  # fmt: skip
         constants = "noise", "noise_density", "cov"
         notices += schedules.unused(schedule, section, constants, where)
-        cov, assumed = schedules.whole(schedule), np.zeros(source.space.n)
+        cov, assumed = schedules.initial_covariance(schedule), np.zeros(measurand.space.n)
         if cov is None:
-            cov, assumed = datasheet.covariance(section, where, source.space, std, rate, exact)
+            cov, assumed = datasheet.covariance(
+                section, where, measurand.space, std, timing.rate, exact
+            )
         if assumed.any():
             guess = dict.fromkeys(
-                f"{s:g} {unit}" for s, unit in zip(assumed, source.space.units) if s
+                f"{s:g} {unit}" for s, unit in zip(assumed, measurand.space.units) if s
             )
             notices.append(f"{name}: no noise given; assuming {', '.join(guess)}")
-        cutoff = _per_axis(model, source, native_cutoff(model), np.inf)
-        part = datasheet.imperfections(section, where, source.space, cutoff)
-        read = tuple(names[i] for i in source.sensors)
-        columns = source.columns(model)
-        channels.append(Channel(name, source, read, kind, cov, columns, timing, part, schedule))
+        cutoff = _per_axis(model, measurand, mjcf_cutoff(model), np.inf)
+        imperfections = datasheet.imperfections(section, where, measurand.space, cutoff)
+        read = tuple(names[i] for i in measurand.sensors)
+        columns = measurand.columns(model)
+        channels.append(
+            Channel(name, measurand, read, kind, cov, columns, timing, imperfections, schedule)
+        )
     if not channels:
         raise ScenarioError(f"no sensor: the MJCF declares none in use; {_ADD}")
     return channels, notices
@@ -203,7 +192,7 @@ def _idle(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -> 
     return [f"not in use, as `sensors` does not name it: {name}" for name in idle]
 
 
-def native_cutoff(model: mujoco.MjModel) -> Array:
+def mjcf_cutoff(model: mujoco.MjModel) -> Array:
     """Saturation that the MJCF gives each sensor `(nsensor,)`, infinite for none.
 
     MuJoCo clips neither unit vectors nor quaternions, and the cutoff of its distance sensors is
@@ -226,14 +215,14 @@ def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Ar
 
 
 def _per_axis(
-    model: mujoco.MjModel, source: Measurand, values: Array, default: float = 0.0
+    model: mujoco.MjModel, measurand: Measurand, values: Array, default: float = 0.0
 ) -> Array:
-    """A number a sensor `(nsensor,)` as one a tangent coordinate of the source `(m,)`."""
-    if not source.sensors:
-        return np.full(source.space.n, default)
-    widths = [layout.sensor_space(model, [i]).n for i in source.sensors]
-    out = np.repeat(values[list(source.sensors)], widths)
-    return out if source.axes is None else out[list(source.axes)]
+    """A number a sensor `(nsensor,)` as one a tangent coordinate of the measurand `(m,)`."""
+    if not measurand.sensors:
+        return np.full(measurand.space.n, default)
+    widths = [layout.sensor_space(model, [i]).n for i in measurand.sensors]
+    out = np.repeat(values[list(measurand.sensors)], widths)
+    return out if measurand.axes is None else out[list(measurand.axes)]
 
 
 def _timing(
@@ -241,25 +230,25 @@ def _timing(
     where: str,
     timestep: float,
     frame_skip: int,
-    native: Sequence[Native],
+    mjcf_timings: Sequence[MjcfTiming],
 ) -> Timing:
     """From the scenario, else from the MJCF."""
-    if len(set(native)) > 1 and (section.rate is None or section.latency is None):
+    if len(set(mjcf_timings)) > 1 and (section.rate is None or section.latency is None):
         raise ScenarioError(
             f"{where}.of: the MJCF gives its sensors different interval, delay or nsample; give "
             f"{where}.rate and {where}.latency"
         )
-    timing = (native[0] if native else Native()).timing(timestep, frame_skip)
+    timing = (mjcf_timings[0] if mjcf_timings else MjcfTiming()).timing(timestep, frame_skip)
     if section.rate is not None:
         period = _period(section.rate, timestep, f"{where}.rate")
-        timing = replace(timing, period=period, phase=0, uneven=None, slots=0)
+        timing = replace(timing, period=period, phase=0, fractional=None, history=0)
     if section.phase is not None:
         # As MuJoCo does: a reading is taken at the first step that is not earlier.
         phase = int(np.ceil(section.phase / timestep - 1e-9))
-        uneven = (float(max(phase, 1)), timing.uneven[1]) if timing.uneven else None
-        timing = replace(timing, phase=phase, uneven=uneven)
+        fractional = (float(max(phase, 1)), timing.fractional[1]) if timing.fractional else None
+        timing = replace(timing, phase=phase, fractional=fractional)
     if section.latency is not None:
-        timing = replace(timing, latency=section.latency / timestep, slots=0)
+        timing = replace(timing, latency=section.latency / timestep, history=0)
     jitter = int(section.jitter / timestep + 1e-9)
     if section.jitter and not jitter:
         raise ScenarioError(

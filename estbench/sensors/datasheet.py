@@ -45,7 +45,7 @@ def covariance(
     section: ChannelSection,
     where: str,
     space: Manifold,
-    native: Array,
+    mjcf_std: Array,
     rate: float,
     exact: bool = False,
 ) -> tuple[Array, Array]:
@@ -55,7 +55,7 @@ def covariance(
         section: the channel's.
         where: its name, for messages.
         space: the manifold of its readings.
-        native: std that the MJCF gives each axis `(m,)`, 0 for none.
+        mjcf_std: std that the MJCF gives each axis `(m,)`, 0 for none.
         rate: Hz.
         exact: whether a noise of 0 is allowed.
 
@@ -76,8 +76,8 @@ def covariance(
         std = np.atleast_1d(np.asarray(section.noise, dtype=np.float64))
     else:
         usual = np.array([DEFAULT_NOISE.get(unit, FALLBACK_NOISE) for unit in space.units])
-        assumed = np.where(native == 0.0, usual, 0.0)
-        std = native + assumed
+        assumed = np.where(mjcf_std == 0.0, usual, 0.0)
+        std = mjcf_std + assumed
     if len(std) not in (1, space.n):
         raise DimensionError(
             f"{where}.noise has {len(std)} values; expected 1 or {space.n} "
@@ -124,7 +124,7 @@ def imperfections(
     if section.counts_per_revolution is not None:
         step = np.full(space.n, 2 * np.pi / section.counts_per_revolution)
     limit = cutoff if section.cutoff is None else np.full(space.n, section.cutoff)
-    part = Imperfections(
+    built = Imperfections(
         bias=axes("bias"),
         walk=axes("bias_walk"),
         drift=drift,
@@ -142,9 +142,9 @@ def imperfections(
         stuck=section.stuck,
         stuck_length=section.stuck_length,
     )
-    ideal = not (part.normals(1) or part.uniforms() or part.constants(1))
-    transfer = np.isfinite(limit).any() or part.quantization.any() or part.deadband.any()
-    return None if ideal and not transfer else part
+    ideal = not (built.normals(1) or built.uniforms() or built.constants(1))
+    transfer = np.isfinite(limit).any() or built.quantization.any() or built.deadband.any()
+    return None if ideal and not transfer else built
 
 
 def _check(section: ChannelSection, where: str, space: Manifold) -> None:

@@ -99,10 +99,10 @@ class State:
         drift: Gauss-Markov part `(run, m)`.
         error: what this reading adds to the true one: bias, drift and noise `(run, m)`.
         gain: matrix that multiplies the true reading `(run, m, m)`, or None for the identity.
-        last: last delivered reading `(run, ny)`, or None before the first.
+        last: last delivered reading `(run, ny)`, or None where none has been kept.
         stuck: in a stuck-at fault `(run,)`.
         lost: in a gap; this reading does not arrive `(run,)`.
-        time: of the last reading, s.
+        time: of the last reading, s; 0 before the first; `(run, 1)` where the runs differ.
     """
 
     bias: Array
@@ -112,30 +112,30 @@ class State:
     last: Array | None
     stuck: Mask
     lost: Mask
-    time: float = 0.0
+    time: float | Array = 0.0
 
 
-def start(part: Imperfections, draws: Draws, runs: int, m: int) -> State:
+def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> State:
     """The sensor as it is switched on; draws as `Imperfections.constants` asks."""
     zero = np.zeros((runs, m))
     gain = None
     if "scale_factor" in draws or "misalignment" in draws:
         gain = np.broadcast_to(np.eye(m), (runs, m, m)).copy()
         if "scale_factor" in draws:
-            gain += (part.scale_factor * draws["scale_factor"])[:, :, None] * np.eye(m)
+            gain += (imperfections.scale_factor * draws["scale_factor"])[:, :, None] * np.eye(m)
         if "misalignment" in draws:
-            x, y, z = (part.misalignment * draws["misalignment"]).T
+            x, y, z = (imperfections.misalignment * draws["misalignment"]).T
             o = np.zeros(runs)
             turn = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(runs, 3, 3)
             gain = gain + turn  # small angles
     no = np.zeros(runs, bool)
-    bias = part.bias * draws["bias"] if "bias" in draws else zero
-    drift = part.drift * draws["drift0"] if "drift0" in draws else zero
+    bias = imperfections.bias * draws["bias"] if "bias" in draws else zero
+    drift = imperfections.drift * draws["drift0"] if "drift0" in draws else zero
     return State(bias, drift, zero, gain, None, no, no)
 
 
 def deliver(
-    part: Imperfections,
+    imperfections: Imperfections,
     space: Manifold,
     clean: Array,
     noise: Array,
@@ -146,7 +146,7 @@ def deliver(
     """One reading: what is delivered `(run, ny)`, where it arrives `(run,)` (None: all), memory.
 
     Args:
-        part: the sensor's imperfections.
+        imperfections: the sensor's imperfections.
         space: the manifold of its readings.
         clean: noise-free readings `(run, ny)`.
         noise: white noise v `(run, m)`.
@@ -154,37 +154,41 @@ def deliver(
         draws: as `Imperfections.normals` and `uniforms` ask.
         time: of this reading, s.
     """
-    state = advance(part, noise, state, draws, time)
-    y, state = respond(part, space, clean, state)
-    return y, ~state.lost if part.dropout else None, state
+    state = advance(imperfections, noise, state, draws, time)
+    y, state = respond(imperfections, space, clean, state)
+    return y, ~state.lost if imperfections.dropout else None, state
 
 
-def advance(part: Imperfections, noise: Array, state: State, draws: Draws, time: float) -> State:
+def advance(
+    imperfections: Imperfections, noise: Array, state: State, draws: Draws, time: float | Array
+) -> State:
     """The sensor at its next reading: its error, and whether it is stuck or the reading lost."""
     step, first = time - state.time, np.ravel(state.time) == 0.0
     bias, drift, stuck, lost = state.bias, state.drift, state.stuck, state.lost
     if "walk" in draws:
-        bias = bias + part.walk * np.sqrt(step) * draws["walk"]
+        bias = bias + imperfections.walk * np.sqrt(step) * draws["walk"]
     if "drift" in draws:
-        keep = np.exp(-step / part.drift_time)
-        drift = keep * drift + part.drift * np.sqrt(1.0 - keep**2) * draws["drift"]
+        keep = np.exp(-step / imperfections.drift_time)
+        drift = keep * drift + imperfections.drift * np.sqrt(1.0 - keep**2) * draws["drift"]
     if "student" in draws:
-        noise = noise * _student_scale(draws["student"], part.student_dof)
+        noise = noise * _student_scale(draws["student"], imperfections.student_dof)
     if "outlier" in draws:
-        hit = draws["outlier"] < part.outlier_probability
-        noise = noise * np.where(hit, part.outlier_scale, 1.0)
+        hit = draws["outlier"] < imperfections.outlier_probability
+        noise = noise * np.where(hit, imperfections.outlier_scale, 1.0)
     if "stuck" in draws:
         chance = draws["stuck"][:, 0]
-        stuck = np.where(stuck, chance >= 1.0 / part.stuck_length, chance < part.stuck)
+        stuck = np.where(
+            stuck, chance >= 1.0 / imperfections.stuck_length, chance < imperfections.stuck
+        )
         stuck &= ~first  # there is nothing to be stuck at
     if "dropout" in draws:
         chance = draws["dropout"][:, 0]
-        lost = chance < part.dropout
-        if part.dropout_length > 1.0:
-            leave = 1.0 / part.dropout_length
+        lost = chance < imperfections.dropout
+        if imperfections.dropout_length > 1.0:
+            leave = 1.0 / imperfections.dropout_length
             # Gilbert's chain: entered with this chance, and begun (at t = 0) in or out of a gap
             # with the share `dropout`, it loses that share of the readings at any time.
-            enter = leave * part.dropout / (1.0 - part.dropout)
+            enter = leave * imperfections.dropout / (1.0 - imperfections.dropout)
             chain = np.where(state.lost, chance >= leave, chance < enter)
             lost = np.where(first, lost, chain)
     error = bias + drift + noise
@@ -194,12 +198,16 @@ def advance(part: Imperfections, noise: Array, state: State, draws: Draws, time:
 
 
 def respond(
-    part: Imperfections, space: Manifold, clean: Array, state: State, rows: Mask | None = None
+    imperfections: Imperfections,
+    space: Manifold,
+    clean: Array,
+    state: State,
+    rows: Mask | None = None,
 ) -> tuple[Array, State]:
     """What the sensor says of a true reading `(run, ny)`, and its memory of having said so.
 
     Args:
-        part: the sensor's imperfections.
+        imperfections: the sensor's imperfections.
         space: the manifold of its readings.
         clean: noise-free readings `(run, ny)`.
         state: from `advance`.
@@ -208,8 +216,8 @@ def respond(
     y = clean if state.gain is None else (state.gain @ clean[..., None])[..., 0]
     y = space.plus(y, state.error)
     if space.flat:
-        y = _transfer(part, y)
-    if not part.stuck:
+        y = _transfer(imperfections, y)
+    if not imperfections.stuck:
         return y, state
     if state.last is not None:
         y = np.where(state.stuck[:, None], state.last, y)
@@ -217,15 +225,15 @@ def respond(
     return y, replace(state, last=last)
 
 
-def _transfer(part: Imperfections, y: Array) -> Array:
+def _transfer(imperfections: Imperfections, y: Array) -> Array:
     """Saturation, quantization and deadband of readings `(run, m)`."""
-    if np.isfinite(part.cutoff).any():
-        y = np.clip(y, -part.cutoff, part.cutoff)
-    if part.quantization.any():
-        step = np.where(part.quantization > 0, part.quantization, 1.0)
-        y = np.where(part.quantization > 0, step * np.round(y / step), y)
-    if part.deadband.any():
-        y = np.where(np.abs(y) < part.deadband, 0.0, y)
+    if np.isfinite(imperfections.cutoff).any():
+        y = np.clip(y, -imperfections.cutoff, imperfections.cutoff)
+    if imperfections.quantization.any():
+        step = np.where(imperfections.quantization > 0, imperfections.quantization, 1.0)
+        y = np.where(imperfections.quantization > 0, step * np.round(y / step), y)
+    if imperfections.deadband.any():
+        y = np.where(np.abs(y) < imperfections.deadband, 0.0, y)
     return y
 
 

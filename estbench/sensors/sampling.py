@@ -1,120 +1,265 @@
-"""The readings of some runs' sensors: who samples when, what is delivered, when it arrives."""
+"""The readings of one channel on many rows: who samples when, what is said of it, when it arrives.
+
+A row is one robot. Time is counted in ticks, physics steps since the simulation began; each row has
+its own clock, which starts at the tick at which its episode begins. Every random number comes from
+the stream of the run that a row is in, so a run is the same in any company.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from estbench.randomness import streams
+from estbench.randomness.row_draws import BLOCK, RowDraws
+from estbench.randomness.streams import Seeds
 from estbench.sensors import imperfections
 from estbench.sensors.channel import Channel
-from estbench.sensors.timing import Instant
-from estbench.shapes import Array, Mask
+from estbench.sensors.imperfections import Imperfections
+from estbench.shapes import Array, Ints, Mask
+from estbench.spaces.selection import chosen, select
+
+NEVER = int(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True, eq=False)
 class Delivery:
-    """Readings of one channel, taken at one instant, that arrive at one instant.
+    """Readings of one channel, taken at one tick, that arrive at one tick.
 
     Attributes:
         channel: its name.
-        due: index of the instant at which they were due.
-        y: `(run, ny)`; only the rows of `mask` mean anything.
-        mask: runs whose reading arrives now `(run,)`; None means all.
-        taken: index of the instant at which they were taken; without jitter `due`.
+        due: tick at which they were due; `(row,)` where the rows differ.
+        y: `(row, ny)`; only the rows of `mask` mean anything.
+        mask: rows whose reading arrives now `(row,)`; None means all.
+        taken: tick at which they were taken; without jitter `due`.
     """
 
     channel: str
-    due: int
+    due: int | Ints
     y: Array
     mask: Mask | None
     taken: int
 
 
-class Readings:
-    """One channel on some runs, reading after reading.
-
-    Every random number is drawn beforehand from the runs' own streams.
+class Sampler:
+    """One channel on some rows, reading after reading.
 
     Args:
         channel: the sensor.
-        instants: of the event loop.
-        seed: of the scenario.
-        runs: whose streams.
+        rows: how many.
+        last: tick after which no reading is due; None for no end.
     """
 
-    def __init__(
-        self, channel: Channel, instants: Sequence[Instant], seed: int, runs: Sequence[int]
-    ):
-        self.channel = channel
-        ticks = np.array([i.tick for i in instants])
-        last = int(ticks[-1])
-        timing, name, m = channel.timing, channel.name, channel.space.n
-        due = timing.due(last)
-        self._due = np.searchsorted(ticks, due)
-        self._times = timing.timestep * due.astype(np.float64)
-        self._noise = channel.noise(seed, runs, self._times)
-        part = channel.part
-        if part is not None:
-            purpose = f"sensor:{name}:"
-            normals = {k: streams.normals(seed, runs, purpose + k, len(due), w)
-                       for k, w in part.normals(m).items()}  # fmt: skip
-            uniforms = {k: streams.uniforms(seed, runs, purpose + k, len(due), w)
-                        for k, w in part.uniforms().items()}  # fmt: skip
-            constants = {k: streams.normals(seed, runs, purpose + k, 1, w)[0]
-                         for k, w in part.constants(m).items()}  # fmt: skip
-            self._draws = normals | uniforms
-            self._state = imperfections.start(part, constants, len(runs), m)
-        self._advanced = -1
-        self._punctual = timing.punctual
-        if self._punctual:
-            self._reading = {int(k): j for j, k in enumerate(self._due)}
-            return
-        sampled = timing.sampled(seed, runs, name, last)
-        self._taken = np.searchsorted(ticks, sampled)
-        self._arrives = np.searchsorted(ticks, timing.arrived(sampled, seed, runs, name, last))
-        # No two readings share an instant: jitter is less than half a period.
-        self._reading = {int(k): j for j, row in enumerate(self._taken) for k in np.unique(row)}
-        self._waiting: dict[int, list[Delivery]] = {}
+    def __init__(self, channel: Channel, rows: int, last: int | None = None):
+        self.channel, self._rows, self._last = channel, rows, last
+        timing, name, m, part = channel.timing, channel.name, channel.space.n, channel.imperfections
+        block = BLOCK if last is None else len(timing.due(last))
+        self._noise = RowDraws(
+            rows, f"sensor:{name}", m, block=block,
+            shape=partial(channel.noise_from, t=0.0) if channel.schedule is None else None,
+        )  # fmt: skip
+        normals, uniforms = ({}, {}) if part is None else (part.normals(m), part.uniforms())
+        self._draws = {
+            k: RowDraws(
+                rows, f"sensor:{name}:{k}", width, "normal" if k in normals else "uniform", block
+            )
+            for k, width in (normals | uniforms).items()
+        }
+        self._jitter = RowDraws(rows, f"sensor:{name}:jitter", 1, "uniform", block)
+        self._latency = RowDraws(rows, f"sensor:{name}:latency", 1, block=block)
+        self._memory: imperfections.State | None = None
+        # Of each row: where its episode began, its next reading, when that is due and taken.
+        self._begin, self._number = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
+        self._due, self._next = np.zeros(rows, np.int64), np.full(rows, NEVER)
+        self._shared: int | None = None  # the next, where it is the same in all rows
+        self._waiting: list[tuple[int, Delivery]] = []
+        self._soonest = NEVER
 
-    def takes(self, k: int) -> bool:
-        """Whether any run takes a reading at instant k."""
-        return k in self._reading
-
-    def at(self, k: int, clean: Array | None) -> list[Delivery]:
-        """What arrives at instant k, given the noise-free readings `(run, ny)` if it takes any."""
-        if clean is not None:
-            j = self._reading[k]
-            name, due = self.channel.name, int(self._due[j])
-            if self._punctual:
-                y, mask = self._read(j, clean, None)
-                return [Delivery(name, due, y, mask, due)]
-            here = self._taken[j] == k
-            y, mask = self._read(j, clean, here)
-            there = here if mask is None else here & mask
-            for arrival in np.unique(self._arrives[j][there]):
-                now = there & (self._arrives[j] == arrival)
-                packet = Delivery(name, due, y, None if now.all() else now, k)
-                self._waiting.setdefault(int(arrival), []).append(packet)
-        return [] if self._punctual else self._waiting.pop(k, [])
-
-    def _read(self, j: int, clean: Array, rows: Mask | None) -> tuple[Array, Mask | None]:
-        """Reading j `(run, ny)` with all that the sensor does to it, and who gets it `(run,)`.
+    def start(self, rows: Ints, seed: Seeds, runs: Sequence[int], tick: int) -> None:
+        """Begin episodes in some rows: the sensor is switched on, what was on its way is lost.
 
         Args:
-            j: which reading.
-            clean: noise-free readings `(run, ny)`.
-            rows: runs that take it now `(run,)`; None is all.
+            rows: their numbers.
+            seed: of all of them, or one for each.
+            runs: the number of the run in each.
+            tick: now.
         """
-        channel, part = self.channel, self.channel.part
-        if part is None:
+        here = chosen(rows, self._rows)
+        self._separate()
+        self._noise.start(rows, seed, runs)
+        for draws in self._draws.values():
+            draws.start(rows, seed, runs)
+        timing = self.channel.timing
+        if timing.jitter:
+            self._jitter.start(rows, seed, runs)
+        if timing.latency_std:
+            self._latency.start(rows, seed, runs)
+        if self.channel.imperfections is not None:
+            self._switch_on(self.channel.imperfections, rows, here, seed, runs)
+        self._begin[rows], self._number[rows] = tick, 0
+        self._plan(here)
+        self._waiting = [
+            (at, replace(d, mask=~here if d.mask is None else d.mask & ~here))
+            for at, d in self._waiting
+        ]
+        if here.all() and not timing.jitter:
+            self._shared = int(self._next[0])
+
+    def takes(self, tick: int) -> bool:
+        """Whether any row takes a reading at this tick."""
+        if self._shared is not None:
+            return self._shared <= tick
+        return bool((self._next <= tick).any())
+
+    def at(self, tick: int, clean: Array | None, moved: Mask | None = None) -> list[Delivery]:
+        """What arrives at a tick.
+
+        Args:
+            tick: now; it never goes back.
+            clean: noise-free readings `(row, ny)`, where any row takes one.
+            moved: rows for which time has passed `(row,)`; None is all.
+        """
+        if clean is not None:
+            delivery, number = self._take(tick, clean, moved)
+            timing = self.channel.timing
+            if not (timing.latency or timing.latency_std):
+                return [delivery]
+            self._send(delivery, number)
+        return self._receive(tick, moved) if tick >= self._soonest else []
+
+    def _receive(self, tick: int, moved: Mask | None) -> list[Delivery]:
+        """What has arrived by now, in the order in which it was sent, in the rows that go on."""
+        arrived: list[Delivery] = []
+        waiting: list[tuple[int, Delivery]] = []
+        for at, delivery in self._waiting:
+            if at > tick:
+                waiting.append((at, delivery))
+                continue
+            if moved is None:
+                arrived.append(delivery)
+                continue
+            mask = moved if delivery.mask is None else delivery.mask & moved
+            if mask.any():
+                arrived.append(replace(delivery, mask=mask))
+            rest = ~moved if delivery.mask is None else delivery.mask & ~moved
+            if rest.any():
+                waiting.append((at, replace(delivery, mask=rest)))
+        self._waiting = waiting
+        self._soonest = min((at for at, _ in waiting), default=NEVER)
+        return arrived
+
+    def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, Ints]:
+        """The readings that are due, and the number of each row's."""
+        if self._shared is not None and moved is None:
+            due, here, number = self._shared, None, self._number[:1]
+            y, got = self._read(clean, None, due - int(self._begin[0]))
+            self._number += 1
+            self._shared = self._upcoming(tick)
+        else:
+            self._separate()
+            taking = self._next <= tick if moved is None else (self._next <= tick) & moved
+            here, due, number = None if taking.all() else taking, self._due, self._number.copy()
+            y, got = self._read(clean, here, due - self._begin)
+            while taking.any():  # a step of an environment may pass over more than one
+                self._number[taking] += 1
+                self._plan(taking)
+                taking = taking & (self._next <= tick)
+        mask = got if here is None else here if got is None else here & got
+        return Delivery(self.channel.name, due, y, mask, tick), number
+
+    def _send(self, delivery: Delivery, number: Ints) -> None:
+        """Put readings on their way, those that arrive together as one delivery."""
+        timing, normal = self.channel.timing, 0.0
+        mask = np.ones(self._rows, bool) if delivery.mask is None else delivery.mask
+        if timing.latency_std:
+            normal = self._latency.draw(self._drawn)[:, 0]
+        taken = delivery.taken - self._begin
+        arrives = self._begin + timing.arrival_tick(taken, number, normal)
+        for arrival in np.unique(arrives[mask]).tolist():
+            together = mask & (arrives == arrival)
+            packet = replace(delivery, mask=None if together.all() else together)
+            self._waiting.append((arrival, packet))
+            self._soonest = min(self._soonest, arrival)
+
+    def _read(self, clean: Array, here: Mask | None, due: int | Ints) -> tuple[Array, Mask | None]:
+        """A reading `(row, ny)` with all that the sensor does to it, and who gets it `(row,)`.
+
+        Args:
+            clean: noise-free readings `(row, ny)`.
+            here: rows that take it; None is all.
+            due: ticks since the episode began at which it is due, of all rows or `(row,)`.
+        """
+        channel, part = self.channel, self.channel.imperfections
+        self._drawn = here
+        noise = self._noise.draw(here)
+        if channel.schedule is not None:
+            noise = self._scheduled(noise, due)
+        if part is None or self._memory is None:
             exact = not channel.cov.any()  # ⊞ 0 would round a quaternion
-            return (clean if exact else channel.space.plus(clean, self._noise[j])), None
-        if j != self._advanced:
-            draws = {purpose: values[j] for purpose, values in self._draws.items()}
-            self._state = imperfections.advance(
-                part, self._noise[j], self._state, draws, float(self._times[j])
-            )
-            self._advanced = j
-        y, self._state = imperfections.respond(part, channel.space, clean, self._state, rows)
-        return y, ~self._state.lost if part.dropout else None
+            return (clean if exact else channel.space.plus(clean, noise)), None
+        draws = {purpose: numbers.draw(here) for purpose, numbers in self._draws.items()}
+        time = np.full((self._rows, 1), channel.timing.timestep)
+        time *= due if isinstance(due, int) else due[:, None]
+        state = imperfections.advance(part, noise, self._memory, draws, time)
+        if here is not None:
+            state = select(here, state, self._memory, "sensor")
+        y, self._memory = imperfections.respond(part, channel.space, clean, state, here)
+        return y, ~self._memory.lost if part.dropout else None
+
+    def _scheduled(self, white: Array, due: int | Ints) -> Array:
+        """Noise `(row, m)` of readings due at these ticks, from standard normals `(row, m)`."""
+        channel, timestep = self.channel, self.channel.timing.timestep
+        if isinstance(due, int):
+            return channel.noise_from(white, timestep * due)
+        out = np.empty_like(white)
+        for tick in np.unique(due):
+            out[due == tick] = channel.noise_from(white[due == tick], float(timestep * tick))
+        return out
+
+    def _switch_on(
+        self, part: Imperfections, rows: Ints, here: Mask, seed: Seeds, runs: Sequence[int]
+    ) -> None:
+        """The memory of the sensor in some rows as it is at the start; constants are drawn."""
+        draws, space = {}, self.channel.space
+        for purpose, width in part.constants(space.n).items():
+            draws[purpose] = np.zeros((self._rows, width))
+            name = f"sensor:{self.channel.name}:{purpose}"
+            draws[purpose][rows] = streams.normals(seed, runs, name, 1, width)[0]
+        fresh = replace(
+            imperfections.start(part, draws, self._rows, space.n),
+            time=np.zeros((self._rows, 1)),  # of each row
+            last=np.zeros((self._rows, space.nx)) if part.stuck else None,
+        )
+        old = self._memory
+        self._memory = fresh if old is None else select(here, fresh, old, "sensor")
+
+    def _separate(self) -> None:
+        """From now on each row has its own next reading."""
+        if self._shared is not None:
+            self._due[:] = self._next[:] = self._shared
+            self._shared = None
+
+    def _upcoming(self, tick: int) -> int:
+        """The tick of the next reading of all rows, after this one."""
+        begin, timing = int(self._begin[0]), self.channel.timing
+        while True:
+            due = int(timing.due_tick(self._number[0]))
+            if self._last is not None and due > self._last:
+                return NEVER
+            if begin + due > tick:
+                return begin + due
+            self._number += 1
+
+    def _plan(self, here: Mask) -> None:
+        """When some rows take their next reading."""
+        timing = self.channel.timing
+        due = timing.due_tick(self._number)
+        at = due
+        if timing.jitter:
+            at = timing.sampling_tick(due, self._jitter.draw(here)[:, 0])
+        at = self._begin + at
+        if self._last is not None:
+            at = np.where(due > self._last, NEVER, at)
+        self._due = np.where(here, self._begin + due, self._due)
+        self._next = np.where(here, at, self._next)

@@ -29,7 +29,7 @@ class Schedule(Protocol):
 
 
 @dataclass(frozen=True)
-class Table:
+class PiecewiseConstant:
     """A piecewise constant factor.
 
     Attributes:
@@ -47,7 +47,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class User:
+class UserFunction:
     """What a user's function of the time returns.
 
     Attributes:
@@ -132,7 +132,7 @@ def build(
     if given is None:
         return None
     if isinstance(given, str):
-        schedule = User(users.function(given, where), axes, where, symbol)
+        schedule = UserFunction(users.function(given, where), axes, where, symbol)
         schedule.at(0.0)
         return schedule
     until = tuple(row[0] for row in given)
@@ -143,10 +143,10 @@ def build(
             f"{where} ends at {until[-1]:g} s but the run at {duration:g} s; "
             "extend its last row or shorten simulation.duration"
         )
-    return Table(until, tuple(row[1] for row in given))
+    return PiecewiseConstant(until, tuple(row[1] for row in given))
 
 
-def whole(schedule: Schedule | None) -> Array | None:
+def initial_covariance(schedule: Schedule | None) -> Array | None:
     """The covariance at t = 0 of a schedule of covariances; None of any other."""
     first = np.asarray(1.0 if schedule is None else schedule.at(0.0))
     return first if first.ndim == 2 else None
@@ -154,7 +154,7 @@ def whole(schedule: Schedule | None) -> Array | None:
 
 def unused(schedule: Schedule | None, section: Any, names: Sequence[str], where: str) -> list[str]:
     """A notice of constants that a section gives beside a schedule of whole covariances."""
-    if whole(schedule) is None:
+    if initial_covariance(schedule) is None:
         return []
     given = [f"{where}.{name}" for name in names if getattr(section, name) is not None]
     return [f"{where}.schedule gives whole covariances: {name} is not used" for name in given]

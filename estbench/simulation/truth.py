@@ -1,59 +1,51 @@
-"""Truth trajectories: the robot as it is, its controller, its disturbance and its sensors.
-
-Arrays are time-major `(instant, run, ...)`: the event loop works on one instant of all runs.
-"""
+"""The true robots: initial states, disturbances and parameters of many rows, and their sensors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from estbench.randomness import streams
+from estbench.randomness.row_draws import BLOCK, RowDraws
+from estbench.randomness.streams import Seeds
 from estbench.robots import backend, parameters
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
-from estbench.robots.measurement import Plan
 from estbench.scenario.schema import Draw
 from estbench.sensors.channel import Channel
-from estbench.sensors.sampling import Delivery, Readings
-from estbench.sensors.timing import Instant
-from estbench.shapes import Array
-from estbench.simulation.controllers import Controller
+from estbench.sensors.clock import Clocks, Event
+from estbench.sensors.sampling import Delivery
+from estbench.sensors.suite import SensorSuite
+from estbench.sensors.timing import Instant, Schedule
+from estbench.shapes import Array, Ints
+from estbench.spaces.linalg import row_product
 from estbench.spaces.manifold import Manifold
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """What happened in some runs.
-
-    Attributes:
-        x: true states `(instant + 1, run, nx)`, the first at t = 0; NaN from where MuJoCo failed.
-        u: controls `(instant, run, nu)`, held up to the instant.
-        deliveries: what arrived at each instant.
-    """
-
-    x: Array
-    u: Array
-    deliveries: list[list[Delivery]]
-
-
 class Simulator:
-    """The true robot for some runs: one step of all of them under a given control.
+    """The true robots of a scenario as rows, each of which may begin an episode at any time.
 
-    Every random number is drawn beforehand from the runs' own streams, so a run is the same
-    whichever estimator watches it and whichever runs share its batch.
+    An episode is a run: every random number comes from the run's own streams, so a run is the same
+    whichever estimator watches it and whichever rows are simulated with it.
 
     Args:
         model: compiled truth model.
         space: its state space.
         channels: sensors in use.
-        instants: the event loop's schedule.
+        schedule: the instants of an episode.
         disturbance: the true process noise.
         initial: mean `(nx,)` and Cholesky factor of P₀ `(n, n)`.
         draws: model parameters drawn once a run.
-        seed: of the scenario.
-        runs: numbers of the runs.
+        rows: how many robots.
+        instants: all instants of an episode, where it has an end.
+        nthread: threads of the physics.
+        look: whether every episode begins with a look at all channels (see `SensorSuite`).
+        timed: whether whoever follows the robots depends on the time.
+
+    Attributes:
+        x: true states `(row, nx)`; NaN from where MuJoCo failed until the row begins anew.
+        clocks: where each row is in its episode.
+        suite: the sensors.
     """
 
     def __init__(
@@ -61,102 +53,73 @@ class Simulator:
         model: mujoco.MjModel,
         space: Manifold,
         channels: Sequence[Channel],
-        instants: Sequence[Instant],
+        schedule: Schedule,
         disturbance: Disturbance,
         initial: tuple[Array, Array],
         draws: Mapping[str, Draw],
-        seed: int,
-        runs: Sequence[int],
+        rows: int,
+        instants: Sequence[Instant] | None = None,
+        nthread: int = 1,
+        look: bool = False,
+        timed: bool = False,
     ):
-        self.instants = instants
         self._model, self._space, self._disturbance = model, space, disturbance
-        self._backend, self._range = backend.create(model), ControlRange.of(model)
-        self._channels = {c.name: c for c in channels}
-        mean, factor = initial
-        self.x0 = space.plus(mean, streams.normals(seed, runs, "initial", 1, space.n)[0] @ factor.T)
-        self._process = streams.normals(seed, runs, "process", len(instants), disturbance.rank)
-        self._readings = [Readings(c, instants, seed, runs) for c in channels]
-        self._plans: dict[tuple[str, ...], Plan] = {}
-        for key, draw in draws.items():
-            self._draw(key, draw, seed, runs)
+        self._mean, self._factor = initial
+        self._backend, self._range = backend.create(model, nthread), ControlRange.of(model)
+        self.clocks = Clocks(rows, schedule, timed)
+        count = BLOCK if instants is None else len(instants)
+        self._process = RowDraws(rows, "process", disturbance.rank, block=count)
+        last = None if instants is None else instants[-1].tick
+        self.suite = SensorSuite(model, self._backend, channels, rows, last, look)
+        self._draws = {
+            key: (draw, *parameters.parameter(model, key, "truth.draw"))
+            for key, draw in draws.items()
+        }
+        self._drawn = {
+            key: np.repeat(np.asarray(getattr(model, field)[index])[None], rows, axis=0)
+            for key, (_, field, index) in self._draws.items()
+        }
+        self.x = np.repeat(self._mean[None], rows, axis=0)
 
-    def step(self, k: int, x: Array, u: Array) -> tuple[Array, list[Delivery]]:
-        """State at the end of instant k `(run, nx)` and the readings that arrive then.
+    def start(self, rows: Ints, seed: Seeds, runs: Sequence[int], u: Array) -> None:
+        """Begin episodes in some rows: x₀ ~ N(x̂₀, P₀), and parameters are drawn.
+
+        Args:
+            rows: their numbers.
+            seed: of all of them, or one for each.
+            runs: the number of the run in each.
+            u: controls of all rows before the first step `(row, nu)`.
+        """
+        white = streams.normals(seed, runs, "initial", 1, self._space.n)[0]
+        x0 = self._space.plus(self._mean, row_product(white, self._factor))
+        self.x = self.x.copy()  # the last may be recorded
+        self.x[rows] = x0
+        self._process.start(rows, seed, runs)
+        for key, (draw, field, index) in self._draws.items():
+            z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
+            nominal = getattr(self._model, field)[index]
+            self._drawn[key][rows] = parameters.drawn(nominal, draw.relative_std, draw.std, z)
+            self._backend.vary(len(self.x), field, index, self._drawn[key])
+        self.clocks.start(rows)
+        self.suite.start(rows, seed, runs, self.clocks.tick, self.x, u)
+
+    def advance(self, event: Event, u: Array) -> list[Delivery]:
+        """Step some rows under controls u `(row, nu)`, and read what arrives.
 
         The sensors are read under the commanded control, without the disturbance: an accelerometer
         that saw the white force would correlate v with w, which every filter here excludes.
         """
-        instant = self.instants[k]
-        dt = instant.end - instant.start
         u = self._range.clamp(u)
-        noise, force, driven = self._disturbance, None, u
+        start, end = self.clocks.time(event)
+        noise, force, driven, w = self._disturbance, None, u, None
         if noise.rank:
-            w = noise.sample(self._process[k], instant.start, dt)
+            w = noise.sample(self._process.draw(event.rows), start, end - start)
             if noise.kind == "force":
                 force = w
             elif noise.kind == "actuator":
                 driven = u + w
-        x = self._backend.step(x, driven, instant.start, instant.nstep, force)
-        if noise.rank and noise.kind == "additive":
+        x = self._backend.step(self.x, driven, start, event.instant.nstep, force)
+        if w is not None and noise.kind == "additive":
             x = self._space.plus(x, w)
-        return x, self._observe(k, instant.end, x, u)
-
-    def clean(self, channels: Sequence[Channel], t: float, x: Array, u: Array) -> Array:
-        """Noise-free readings `(run, ny)` of some channels, one after the other."""
-        key = tuple(c.name for c in channels)
-        if key not in self._plans:
-            self._plans[key] = Plan(self._model, [c.source for c in channels])
-        return self._plans[key].read(self._backend, x, u, t)
-
-    def _observe(self, k: int, t: float, x: Array, u: Array) -> list[Delivery]:
-        """Take the readings that are due, and hand out those that arrive."""
-        taking = [r.channel for r in self._readings if r.takes(k)]
-        y = self.clean(taking, t, x, u) if taking else np.empty((len(x), 0))
-        out: list[Delivery] = []
-        start = 0
-        for readings in self._readings:
-            part = None
-            if readings.takes(k):
-                part = y[:, start : start + readings.channel.space.nx]
-                start += readings.channel.space.nx
-            out += readings.at(k, part)
-        return out
-
-    def _draw(self, key: str, draw: Draw, seed: int, runs: Sequence[int]) -> None:
-        field, index = parameters.parameter(self._model, key, "truth.draw")
-        value = getattr(self._model, field)[index]
-        z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
-        self._backend.vary(
-            len(runs), field, index, parameters.drawn(value, draw.relative_std, draw.std, z)
-        )
-
-
-def simulate(simulator: Simulator, controller: Controller, frame_time: float) -> Trajectory:
-    """Run the robot through its schedule under a controller that sees the true state.
-
-    Args:
-        simulator: the true robot.
-        controller: asked at every instant that says so.
-        frame_time: time between control updates, s.
-    """
-    instants, x = simulator.instants, simulator.x0
-    states = np.empty((len(instants) + 1, *x.shape))
-    states[0] = x
-    controls, deliveries = [], []
-    u = np.empty(0)
-    for k, instant in enumerate(instants):
-        if instant.control:
-            u = controller(
-                round(instant.start / frame_time), instant.start, finite(x, simulator.x0)
-            )
-        x, arrived = simulator.step(k, x, u)
-        states[k + 1] = x
-        controls.append(u)
-        deliveries.append(arrived)
-    return Trajectory(states, np.stack(controls), deliveries)
-
-
-def finite(x: Array, fallback: Array) -> Array:
-    """X with the rows that are not finite replaced: a failed run must not reach a controller."""
-    bad = ~np.isfinite(x).all(axis=-1)
-    return np.where(bad[:, None], fallback, x) if bad.any() else x
+        self.x = x if event.rows is None else np.where(event.rows[:, None], x, self.x)
+        return self.suite.read(event.tick, end, self.x, u, event.rows)

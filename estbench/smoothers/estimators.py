@@ -1,6 +1,6 @@
 """Smoothers as estimators: a filter that, when the run is over, looks back with all it has seen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -130,6 +130,18 @@ class MAP(FilterThenSmooth):
             in_range(self, "window", 0.0, low_open=True)
         whole(self, "iterations", 1)
         in_range(self, "tolerance", 0.0, low_open=True)
+
+    def check_schedule(self, duration: float, arrivals: int, given: Collection[str]) -> None:
+        """Refuse a window that is longer than the run.
+
+        Raises:
+            EstimatorError: the window exceeds the duration.
+        """
+        if self.window is not None and self.window > duration + 1e-9:
+            raise EstimatorError(
+                f"window is {self.window:g} s but the run only {duration:g} s; shorten it, or "
+                "leave it out for the whole run"
+            )
 
     def smooth(self, passage: FilterHistory) -> list[Gaussian]:
         """Window after window."""

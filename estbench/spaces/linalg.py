@@ -109,6 +109,17 @@ def solve_lower_transposed(
     return x
 
 
+def row_product(rows: Float[Array, "run k"], factor: Float[Array, "n k"]) -> Float[Array, "run n"]:
+    """F v for each row v.
+
+    BLAS rounds the product of a single row differently from that of several rows: a single row is
+    therefore multiplied as two equal rows.
+    """
+    if len(rows) == 1:
+        return (rows.repeat(2, axis=0) @ factor.T)[:1]
+    return rows @ factor.T
+
+
 def weighted(
     weights: Float[Array, "... point"], points: Float[Array, "*any point k"]
 ) -> Float[Array, "*any k"]:

@@ -50,7 +50,7 @@ def assert_expected(channel, taus, duration, runs=64, axis=0):
     step = channel.timing.period * channel.timing.timestep
     found, square = allan.deviation(values, step, taus)
     square = square**2
-    expected = allan.Figures.of(channel, axis).expected(found) ** 2
+    expected = allan.NoiseParameters.of(channel, axis).expected(found) ** 2
     error = square.std(axis=1) / np.sqrt(runs)
     assert (np.abs(square.mean(axis=1) - expected) < 6 * error).all()
     return found, np.sqrt(square.mean(axis=1))

@@ -6,7 +6,7 @@ from scipy import stats
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
 from estbench.sensors import channel as sensors
-from estbench.sensors.timing import Native, Timing, instants
+from estbench.sensors.timing import MjcfTiming, Timing, instants
 from tests.helpers import zoo_model
 
 FULL_R = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.05]]
@@ -163,9 +163,9 @@ def schedule(periods, frame_skip=1, duration=0.05, timestep=0.005):
 
 
 def test_rate_becomes_a_period_of_physics_steps():
-    assert channel("gyro", rate=250).period == 1  # timestep 4 ms
-    assert channel("gyro", rate=25).period == 10
-    assert build(["gyro"], frame_skip=3)[0][0].period == 3
+    assert channel("gyro", rate=250).timing.period == 1  # timestep 4 ms
+    assert channel("gyro", rate=25).timing.period == 10
+    assert build(["gyro"], frame_skip=3)[0][0].timing.period == 3
 
 
 def test_multi_rate_schedule_by_hand():
@@ -243,7 +243,7 @@ def test_sensors_taken_together_are_one_channel_in_place_of_themselves():
     assert imu.space.names == ("gyro.x", "gyro.y", "gyro.z", "lift_encoder")
     adr = [model.sensor(name).adr[0] for name in imu.sensors]
     assert imu.columns.tolist() == [adr[0], adr[0] + 1, adr[0] + 2, adr[1]]
-    assert imu.period == 2
+    assert imu.timing.period == 2
     noise = imu.noise(1, range(40), np.zeros(500)).reshape(-1, 4)
     sigma = np.sqrt((np.outer(np.diag(R), np.diag(R)) + R**2) / len(noise))
     assert (np.abs(noise.T @ noise / len(noise) - R) < 6 * sigma).all()
@@ -266,8 +266,8 @@ def test_what_is_taken_together_has_the_noise_and_cutoff_of_each():
     (both,), notices = build(model=model, both={"of": ["v", "a"]})
     np.testing.assert_allclose(np.sqrt(np.diag(both.cov)), [0.02, 0.25])
     assert notices == ["both: no noise given; assuming 0.02 m/s"]
-    assert both.part is not None
-    np.testing.assert_array_equal(both.part.cutoff, [np.inf, 3.0])
+    assert both.imperfections is not None
+    np.testing.assert_array_equal(both.imperfections.cutoff, [np.inf, 3.0])
 
 
 def test_some_axes_of_a_sensor():
@@ -281,8 +281,8 @@ def test_some_axes_of_a_sensor():
     (one,), _ = build(model=model, one={"of": ["v", "a"], "axes": [1]})
     assert one.space.names == ("a",)
     assert one.cov == 0.25**2
-    assert one.part is not None
-    np.testing.assert_array_equal(one.part.cutoff, [3.0])
+    assert one.imperfections is not None
+    np.testing.assert_array_equal(one.imperfections.cutoff, [3.0])
 
 
 def test_a_function_of_the_state_is_a_channel():
@@ -333,13 +333,13 @@ def test_a_new_channel_needs_a_name_of_its_own():
 
 
 def test_sensors_of_different_rhythm_need_one():
-    native = {"gyro": Native(0.1, 0.0, 0.0, 1)}
+    given_by_mjcf = {"gyro": MjcfTiming(0.1, 0.0, 0.0, 1)}
     section = {"imu": ChannelSection(of=["gyro", "lift_encoder"])}
     with pytest.raises(ScenarioError, match=r"imu\.of: .*different interval, .*imu\.rate and"):
-        sensors.build(zoo_model("joints"), section, None, 1, native=native)
+        sensors.build(zoo_model("joints"), section, None, 1, mjcf_timings=given_by_mjcf)
     given = {"imu": ChannelSection(of=["gyro", "lift_encoder"], rate=50, latency=0)}
-    channels, _ = sensors.build(zoo_model("joints"), given, None, 1, native=native)
-    assert channels[-1].period == 5
+    channels, _ = sensors.build(zoo_model("joints"), given, None, 1, mjcf_timings=given_by_mjcf)
+    assert channels[-1].timing.period == 5
 
 
 def test_a_sensor_free_of_noise_needs_an_r_that_is_believed():

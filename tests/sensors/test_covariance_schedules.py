@@ -254,7 +254,7 @@ def test_rows_of_an_environment_are_single_ones(overrides, tmp_path):
     ],
 )
 def test_what_is_no_covariance(symbol, axes, function, error, message):
-    user = schedules.User(function, axes, "channels.gyro.schedule", symbol)
+    user = schedules.UserFunction(function, axes, "channels.gyro.schedule", symbol)
     with pytest.raises(
         error, match=rf"^channels\.gyro\.schedule returned .* at t = 0\.5 s; .*{message}"
     ):

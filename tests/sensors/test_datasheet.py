@@ -17,7 +17,7 @@ def channel(name, **section):
 
 
 def part(name, **section):
-    made = channel(name, **section).part
+    made = channel(name, **section).imperfections
     assert made is not None
     return made
 
@@ -52,8 +52,8 @@ def test_counts_per_revolution_are_a_quantization_step():
     model = zoo_model("sensors")
     section = ChannelSection(counts_per_revolution=4096)
     (encoder,), _ = sensors.build(model, {"jointpos": section}, ["jointpos"], 1)
-    assert encoder.part is not None
-    np.testing.assert_allclose(encoder.part.quantization, 2 * np.pi / 4096)
+    assert encoder.imperfections is not None
+    np.testing.assert_allclose(encoder.imperfections.quantization, 2 * np.pi / 4096)
 
 
 def test_figures_are_one_or_one_an_axis():
@@ -63,8 +63,8 @@ def test_figures_are_one_or_one_an_axis():
 
 
 def test_white_noise_alone_is_no_imperfection():
-    assert channel("gyro", noise=0.1).part is None
-    assert channel("gyro", cutoff=9.0).part is not None
+    assert channel("gyro", noise=0.1).imperfections is None
+    assert channel("gyro", cutoff=9.0).imperfections is not None
 
 
 def test_the_mjcf_cutoff_is_the_default_saturation(tmp_path):
@@ -76,7 +76,7 @@ def test_the_mjcf_cutoff_is_the_default_saturation(tmp_path):
 
     def limits(*overrides):
         built = setup.build(resolve(tmp_path / "m.xml", overrides=overrides))
-        parts = [c.part for c in built.channels]
+        parts = [c.imperfections for c in built.channels]
         # MuJoCo itself no longer clips the true reading: noise comes first.
         assert built.plant.model.sensor_cutoff.tolist() == [0, 0, 7]
         return [None if p is None else p.cutoff.tolist() for p in parts]

@@ -247,5 +247,5 @@ def test_contacts_limits_geometry_and_energy_are_mujocos_too(tmp_path):
 def test_zero_imperfections_are_no_imperfections(tmp_path):
     (tmp_path / "m.xml").write_text(SENSORS)
     prepared = exact(tmp_path / "m.xml")
-    assert all(c.part is None and c.timing.punctual for c in prepared.channels
+    assert all(c.imperfections is None and c.timing.punctual for c in prepared.channels
                if not zoo_model("sensors").sensor(c.name).cutoff[0])  # fmt: skip

@@ -7,7 +7,7 @@ from estbench.experiment import setup
 from estbench.robots.library import engine
 from estbench.scenario.load import load
 from estbench.sensors.sampling import Readings
-from estbench.sensors.timing import Native, Timing, instants
+from estbench.sensors.timing import MjcfTiming, Timing, instants
 
 # When
 
@@ -20,9 +20,9 @@ def test_readings_are_due_at_the_phase_and_every_period():
 
 
 def test_an_uneven_rhythm_takes_the_first_step_that_is_not_earlier():
-    assert Timing(2, uneven=(2.5, 2.5)).due(11).tolist() == [3, 5, 8, 10]
-    assert Timing(2, uneven=(1.0, 10 / 3)).due(12).tolist() == [1, 5, 8, 11]
-    assert Timing(2, uneven=(2.5, 2.5)).due(2).tolist() == []
+    assert Timing(2, fractional=(2.5, 2.5)).due(11).tolist() == [3, 5, 8, 10]
+    assert Timing(2, fractional=(1.0, 10 / 3)).due(12).tolist() == [1, 5, 8, 11]
+    assert Timing(2, fractional=(2.5, 2.5)).due(2).tolist() == []
 
 
 def test_jitter_is_uniform_within_its_bound():
@@ -53,8 +53,8 @@ def test_random_latency_has_its_mean_and_standard_deviation():
     # Rounding up adds half a step and a variance of 1/12. Six standard deviations: 2e-9.
     assert abs(late.mean() - 100.5) < 6 * 5 / np.sqrt(n)
     assert abs(late.var() - 25 - 1 / 12) < 6 * 25 * np.sqrt(2 / n)
-    assert timing.longest == 125
-    assert (late <= timing.longest + 1).all()
+    assert timing.longest_delay == 125
+    assert (late <= timing.longest_delay + 1).all()
 
 
 def test_each_run_has_its_own_jitter_and_latency_whatever_its_company():
@@ -73,7 +73,7 @@ def test_punctual():
     assert Timing(3, phase=2).punctual
     for late in (
         Timing(3, jitter=1), Timing(3, latency=1.0), Timing(3, latency_std=1.0),
-        Timing(3, uneven=(1.5, 1.5)),
+        Timing(3, fractional=(1.5, 1.5)),
     ):  # fmt: skip
         assert not late.punctual
 
@@ -182,7 +182,7 @@ def test_the_mjcf_delay_is_what_the_filter_is_told_late(tmp_path):
     (tmp_path / "m.xml").write_text(text)
     with engine():
         prepared = setup.build(load(tmp_path / "m.xml"))
-    assert prepared.channels[0].timing == Timing(4, 3, latency=5.0, timestep=T, slots=4)
+    assert prepared.channels[0].timing == Timing(4, 3, latency=5.0, timestep=T, history=4)
     assert prepared.window >= 5
 
 
@@ -198,7 +198,26 @@ def test_the_scenario_overrides_the_mjcf(tmp_path):
     assert timing("channels.x.phase=0").phase == 0  # one period, as ever
 
 
-def test_native_timing_rounds_to_steps():
-    assert Native(0.1, 0.0, 0.0, 1).timing(0.01, 3) == Timing(10, 10, timestep=0.01)
-    assert Native(0.0, 0.0, 0.05, 9).timing(0.01, 3).latency == pytest.approx(5)
-    assert Native(0.1, 0.0, 0.05, 0).timing(0.01, 3) == Timing(3, timestep=0.01)
+def test_mjcf_timing_rounds_to_steps():
+    assert MjcfTiming(0.1, 0.0, 0.0, 1).timing(0.01, 3) == Timing(10, 10, timestep=0.01)
+    assert MjcfTiming(0.0, 0.0, 0.05, 9).timing(0.01, 3).latency == pytest.approx(5)
+    assert MjcfTiming(0.1, 0.0, 0.05, 0).timing(0.01, 3) == Timing(3, timestep=0.01)
+
+
+def test_the_rate_is_the_mean_rate_whatever_the_timestep(tmp_path):
+    even = Timing(5, timestep=0.002)
+    assert (even.interval, even.rate) == (pytest.approx(0.01), pytest.approx(100.0))
+    # interval="0.0033" with a timestep of 0.002 s: readings every 1.65 steps on average.
+    timing = MjcfTiming(0.0033, 0.0, 0.0, 4).timing(0.002, 5)
+    assert timing.interval == pytest.approx(0.0033)
+    assert timing.rate == pytest.approx(1 / 0.0033)
+    seconds = len(timing.due(50_000)) / timing.rate
+    assert seconds == pytest.approx(50_000 * 0.002, rel=1e-4)
+
+
+def test_a_noise_density_is_that_of_the_mean_rate(tmp_path):
+    text = mjcf({"nsample": 4}).replace(f'timestep="{T}"', 'timestep="0.002"')
+    (tmp_path / "m.xml").write_text(text.replace("nsample=", 'interval="0.0033" nsample='))
+    prepared = setup.build(load(tmp_path / "m.xml", ["channels.x.noise_density=0.001"]))
+    (channel,) = prepared.channels
+    assert np.sqrt(channel.cov) == pytest.approx(0.001 / np.sqrt(0.0033))

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.experiment.setup import Setup
-from estbench.report.sensor_table import latency, rate
 from estbench.sensors.channel import Channel
+from estbench.sensors.description import ChannelDescription
 from estbench.shapes import Array
-from estbench.simulation.truth import simulate
+from estbench.simulation import sources
 from estbench.tables.destination import check_file
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -61,25 +61,27 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
     shown = int(np.searchsorted(ends, seconds + 1e-9))
     if not shown:
         raise EstbenchError(f"--seconds is {seconds:g}; use at least {ends[0]:g}, one step")
-    simulator, controller = setup.simulator([run]), setup.controller([run])
-    trajectory = simulate(simulator, controller, setup.plant.period)
+    simulator, timestep = setup.simulator([run]), float(setup.plant.model.opt.timestep)
+    controller, period = setup.controller([run]), setup.plant.period
+    trajectory = sources.record(sources.Live(simulator, setup.instants, controller, period))
     records = []
     for channel in setup.channels:
         clean = np.concatenate([
-            simulator.clean([channel], ends[k], trajectory.x[k + 1], trajectory.u[k])
+            simulator.suite.clean([channel], ends[k], trajectory.x[k + 1], trajectory.u[k])
             for k in range(shown)
         ])  # fmt: skip
-        all_came = [
-            (d.due, d.taken, k, d.y[0])
+        arrivals = [
+            (int(np.ravel(d.due)[0]), d.taken, k, d.y[0])
             for k, arrived in enumerate(trajectory.deliveries)
             for d in arrived
             if d.channel == channel.name and (d.mask is None or d.mask[0])
         ]
-        due = {k for k in range(shown) if channel.name in setup.instants[k].channels}
+        due = {i.tick: i.end for i in setup.instants[:shown] if channel.name in i.channels}
         # What is still under way when the run ends is not lost.
-        late = channel.timing.longest * channel.timing.timestep
-        lost = [k for k in due - {c[0] for c in all_came} if ends[k] + late <= ends[-1]]
-        came = [c for c in all_came if c[1] < shown]
+        late = channel.timing.longest_delay * timestep
+        missing = due.keys() - {tick for tick, *_ in arrivals}
+        lost = [due[tick] for tick in missing if due[tick] + late <= ends[-1]]
+        came = [c for c in arrivals if c[1] <= setup.instants[shown - 1].tick]
         space, start = channel.space, clean[:1]
         y = np.array([c[3] for c in came]).reshape(len(came), space.nx)
         flat = space.flat
@@ -88,10 +90,10 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
                 channel,
                 ends[:shown],
                 clean if flat else space.minus(clean, start),
-                ends[[c[1] for c in came]],
+                timestep * np.array([c[1] for c in came]),
                 ends[[c[2] for c in came]],
                 y if flat else space.minus(y, start),
-                ends[sorted(lost)],
+                np.array(sorted(lost)),
             )
         )
     return records
@@ -198,9 +200,6 @@ def _described(one: Record, axis: str) -> Iterator[str]:
     channel = one.channel
     if not axis.startswith(channel.name):
         yield channel.name
-    yield channel.kind
-    yield f"{rate(channel):.4g} Hz"
-    if latency(channel):
-        yield f"{latency(channel)} late"
+    yield ChannelDescription.of(channel).summary
     if len(one.lost):
         yield f"{len(one.lost)} lost"

@@ -1,4 +1,4 @@
-"""Mixing the rows of two nested values of any make: beliefs, sensors' memories."""
+"""Some rows of nested values of any make: beliefs, the memory of sensors."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -6,8 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from estbench.errors import EstimatorError
-from estbench.shapes import Mask
+from estbench.errors import SelectionError
+from estbench.shapes import Ints, Mask
+
+
+def chosen(rows: Ints, count: int) -> Mask:
+    """Rows by their numbers as a mask `(count,)`."""
+    mask = np.zeros(count, bool)
+    mask[rows] = True
+    return mask
 
 
 def select(mask: Mask, new: Any, old: Any, what: str = "belief") -> Any:
@@ -18,7 +25,7 @@ def select(mask: Mask, new: Any, old: Any, what: str = "belief") -> Any:
     estimators make such things anew.
 
     Raises:
-        EstimatorError: a part is neither a row's own nor the same in both.
+        SelectionError: a part is neither a row's own nor the same in both.
     """
     if new is old:
         return old
@@ -43,7 +50,7 @@ def select(mask: Mask, new: Any, old: Any, what: str = "belief") -> Any:
         return type(new)(*parts) if hasattr(new, "_fields") else type(new)(parts)
     elif type(new) is type(old) and new == old:
         return old
-    raise EstimatorError(
+    raise SelectionError(
         f"{what} ({type(old).__name__}) is not kept row by row, so one row cannot start anew; use "
         "arrays whose first axis is the run, in a dataclass, tuple or dict"
     )

@@ -77,7 +77,7 @@ def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjM
         space = Manifold.euclidean(width, names, units, section.angles or ())
     except DimensionError as error:
         raise ScenarioError(f"channels.{name}.{error}") from None
-    source = Measurand(space, function=called, name=where)
-    source.call(x, u, 0.0)
-    source.call(np.tile(x, (3, 1, 1)), u[:1].repeat(3, axis=0), 0.0)
-    return source
+    measurand = Measurand(space, function=called, name=where)
+    measurand.call(x, u, 0.0)
+    measurand.call(np.tile(x, (3, 1, 1)), u[:1].repeat(3, axis=0), 0.0)
+    return measurand

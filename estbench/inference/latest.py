@@ -1,0 +1,119 @@
+"""The innovations of the current step, row by row, for those who look at a filter while it runs."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from estbench.estimators.protocol import Innovation
+from estbench.inference.run_subset import RunIndex
+from estbench.shapes import Array, Ints, Mask
+from estbench.spaces.manifold import Manifold
+
+_Update = tuple[int, Sequence[str], Innovation, Mask | None, RunIndex]
+
+
+class LatestInnovations:
+    """What a step's updates said; of a late reading, what it adds to those of its time.
+
+    NIS of readings that are fused jointly is the sum of their conditional ones: where a late
+    reading joins others, the difference of the joint NIS and theirs is its own, with as many
+    degrees of freedom as it has components.
+
+    Args:
+        spaces: channel -> the manifold of its readings, in the measurement's order.
+        rows: how many.
+        revised: whether updates may be done again, with more readings.
+
+    Attributes:
+        rows: how many.
+        innovation: ν of each channel's last reading in this step `(row, m)`, 0 where none came.
+        nis: νᵀ S⁻¹ ν of the readings that came in this step `(row,)`.
+        dof: how many components came `(row,)`.
+    """
+
+    def __init__(self, spaces: Mapping[str, Manifold], rows: int, revised: bool = False):
+        stops = np.cumsum([0, *(space.n for space in spaces.values())]).tolist()
+        self._slots = {name: slice(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
+        self._every = tuple(spaces)
+        self.rows, self._width, self._revised = rows, stops[-1], revised
+        self._fused: dict[int, tuple[Array, Ints]] = {}  # event -> NIS and dof so far
+        self._before: dict[int, tuple[Array, Ints]] = {}  # as they were before this step
+        self._updates: list[_Update] = []
+        self.begin()
+
+    def begin(self) -> None:
+        """A step begins."""
+        self.innovation = np.zeros((self.rows, self._width))
+        self.nis, self.dof = np.zeros(self.rows), np.zeros(self.rows, np.int64)
+
+    def clear(self, k: int, rows: RunIndex) -> None:
+        """Some rows are updated anew at the k-th event."""
+        if not self._revised:
+            return
+        nis, dof = self._fused.setdefault(k, (np.zeros(self.rows), np.zeros(self.rows, np.int64)))
+        self._before.setdefault(k, (nis.copy(), dof.copy()))
+        nis[rows], dof[rows] = 0.0, 0
+
+    def put(
+        self,
+        k: int,
+        layer: int,
+        channels: Sequence[str],
+        innovation: Innovation,
+        mask: Mask | None,
+        rows: RunIndex,
+    ) -> None:
+        """Some rows were updated; see `Innovations.put`."""
+        if not self._revised:
+            self.nis[rows] += innovation.nis
+            self.dof[rows] += innovation.dof
+            self._show(channels, innovation, mask, rows)
+            return
+        nis, dof = self._fused[k]
+        nis[rows] += innovation.nis
+        dof[rows] += innovation.dof
+        self._updates.append((k, channels, innovation, mask, rows))
+
+    def settle(self, oldest: int) -> None:
+        """The updates of an event are done; before the event `oldest` none is done again."""
+        if not self._revised:
+            return
+        new = {}
+        for k, (nis, dof) in self._before.items():
+            now, count = self._fused[k]
+            new[k] = count > dof
+            self.nis += np.where(new[k], now - nis, 0.0)
+            self.dof += np.where(new[k], count - dof, 0)
+        for k, channels, innovation, mask, rows in self._updates:
+            came = new[k][rows]
+            if came.any():
+                shown = came[:, None] if mask is None else came[:, None] & mask
+                self._show(channels, innovation, shown, rows)
+        self._before.clear()
+        self._updates.clear()
+        for k in [k for k in self._fused if k < oldest]:
+            del self._fused[k]
+
+    def forget(self, rows: Ints) -> None:
+        """Some rows begin anew."""
+        self.innovation[rows], self.nis[rows], self.dof[rows] = 0.0, 0.0, 0
+
+    def _show(
+        self, channels: Sequence[str], innovation: Innovation, mask: Mask | None, rows: RunIndex
+    ) -> None:
+        residual = innovation.residual
+        if not np.size(residual):  # an estimator may have none
+            return
+        if mask is None and channels == self._every:
+            self.innovation[rows] = residual
+            return
+        start = 0
+        for name in channels:
+            slot = self._slots[name]
+            part = slice(start, start + slot.stop - slot.start)
+            value = residual[:, part]
+            if mask is not None:
+                came = np.broadcast_to(mask, (len(residual), residual.shape[1]))[:, part]
+                value = np.where(came, value, self.innovation[rows, slot])
+            self.innovation[rows, slot] = value
+            start = part.stop

@@ -1,0 +1,246 @@
+"""An estimator beside robots that somebody else steps: rows that begin anew at any time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from estbench.errors import EstbenchError, EstimatorError, SelectionError, user_error_location
+from estbench.estimators.beliefs import start
+from estbench.estimators.protocol import Estimator
+from estbench.inference.fusion import Delays, Fusion
+from estbench.inference.inbox import Inbox
+from estbench.inference.latest import LatestInnovations
+from estbench.sensors.clock import Event
+from estbench.sensors.sampling import Delivery
+from estbench.shapes import Array, Ints, Keys, Mask
+from estbench.spaces.linalg import quadratic_form, quiet, surely_finite
+from estbench.spaces.manifold import Manifold
+from estbench.spaces.selection import chosen
+
+
+@dataclass(eq=False)
+class _Cohort:
+    """Rows whose beliefs are computed together.
+
+    Attributes:
+        rows: their numbers; None is all.
+        here: which of them are still in it `(len(rows),)`.
+        fusion: their beliefs.
+        log: their innovations.
+    """
+
+    rows: Ints | None
+    here: Mask
+    fusion: Fusion
+    log: LatestInnovations
+
+
+class LiveFilter:
+    """The beliefs of many robots, and what became of them in the last step.
+
+    All rows are one batch, unless what is computed depends on the time (`by_clock`) or the belief
+    cannot be taken apart by rows: then rows that begin together are one.
+
+    Args:
+        estimator: any object of the protocol.
+        space: the state space.
+        channels: channel -> the manifold of its readings, in the measurement's order.
+        rows: how many robots.
+        delays: what to do about late readings.
+        threshold: a row has diverged while NEES/n is above this.
+        by_clock: whether estimator or model depend on the time.
+
+    Attributes:
+        estimate: x̂ `(row, nx)`; a row that failed keeps its last finite one.
+        cov: P `(row, n, n)`, likewise.
+        failed: rows whose filter broke down, until they begin anew `(row,)`.
+        innovation, nis, dof: of the readings that came in the last step; see `LatestInnovations`.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        space: Manifold,
+        channels: Mapping[str, Manifold],
+        rows: int,
+        delays: Delays | None = None,
+        threshold: float = 1000.0,
+        by_clock: bool = False,
+    ):
+        self.estimator, self.space, self.rows = estimator, space, rows
+        self._channels, self._delays = dict(channels), delays or Delays()
+        self._threshold, self._by_clock = threshold, by_clock
+        self._label = type(getattr(estimator, "estimator", estimator)).__name__
+        self._cohorts: list[_Cohort] = []
+        self.estimate = np.zeros((rows, space.nx))
+        self.cov = np.zeros((rows, space.n, space.n))
+        self.failed = np.zeros(rows, bool)
+        width = sum(channel.n for channel in channels.values())
+        self.innovation = np.zeros((rows, width))
+        self.nis, self.dof = np.zeros(rows), np.zeros(rows, np.int64)
+
+    def start(self, rows: Ints, mean: Array, cov: Array, keys: Keys | None = None) -> None:
+        """Begin anew in some rows; the others go on.
+
+        Args:
+            rows: their numbers.
+            mean: x̂₀ of every row `(row, nx)`; only those of `rows` are used.
+            cov: P₀ `(row, n, n)` likewise.
+            keys: random keys `(row,)` for estimators that draw random numbers.
+        """
+        with quiet():
+            self._guard(lambda: self._begin(rows, mean, cov, keys))
+        self.estimate[rows], self.cov[rows], self.failed[rows] = mean[rows], cov[rows], False
+        self.innovation[rows], self.nis[rows], self.dof[rows] = 0.0, 0.0, 0
+
+    def begin(self) -> None:
+        """A new step begins: forget the innovations of the last."""
+        for cohort in self._cohorts:
+            cohort.log.begin()
+
+    def step(self, event: Event, u: Array, arrived: Sequence[Delivery]) -> None:
+        """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there."""
+        with quiet():
+            for cohort in self._cohorts:
+                self._guard(lambda cohort=cohort: self._advance(cohort, event, u, arrived))
+
+    def settle(self) -> None:
+        """Take estimates, covariances and innovations from the beliefs at the end of a step."""
+        if len(self._cohorts) == 1 and self._cohorts[0].rows is None:
+            log, (mean, cov) = self._cohorts[0].log, self._moments(self._cohorts[0])
+            self.innovation, self.nis, self.dof = log.innovation, log.nis, log.dof
+            if not np.count_nonzero(self.failed) and surely_finite(mean, cov):
+                self.estimate, self.cov = np.array(mean), np.array(cov)
+                return
+        # Not in place: the last ones may still be in use.
+        self.estimate, self.cov = self.estimate.copy(), self.cov.copy()
+        self.innovation, self.nis, self.dof = (
+            self.innovation.copy(), self.nis.copy(), self.dof.copy(),
+        )  # fmt: skip
+        for cohort in self._cohorts:
+            self._take(cohort)
+
+    def info(self, truth: Array) -> dict[str, Any]:
+        """What a step's `info` says of every row, all of it copies, each with a leading row axis.
+
+        Args:
+            truth: x `(row, nx)`.
+
+        Returns:
+            truth, estimate `(row, nx)`; error x ⊖ x̂ `(row, n)`; nees `(row,)`, inf where P is
+            singular or the filter has failed; innovation `(row, m)`; nis and nis_dof `(row,)`;
+            diverged `(row,)`: the filter has failed, or NEES/n is above the threshold.
+        """
+        with quiet():
+            error = self.space.minus(truth, self.estimate)
+            nees = self._nees(error)
+        diverged = nees > self._threshold * self.space.n
+        if np.count_nonzero(self.failed) or not surely_finite(nees):
+            bad = ~np.isfinite(nees) | self.failed
+            nees[bad] = np.inf
+            diverged = self.failed | (diverged & ~bad)
+        return {
+            "truth": truth.copy(),
+            "estimate": self.estimate.copy(),
+            "error": error,
+            "nees": nees,
+            "nis": _without_nan(self.nis, np.inf),
+            "nis_dof": self.dof.copy(),
+            "innovation": _without_nan(self.innovation),
+            "diverged": diverged,
+        }
+
+    def _begin(self, rows: Ints, mean: Array, cov: Array, keys: Keys | None) -> None:
+        if len(rows) == self.rows:
+            self._cohorts = [self._cohort(None, mean, cov, keys)]
+            return
+        here = chosen(rows, self.rows)
+        if self._cohorts and not self._by_clock:
+            (cohort,) = self._cohorts
+            fresh = start(self.estimator, mean, cov, keys)
+            try:
+                cohort.fusion.restart(here, fresh)
+            except SelectionError:  # its beliefs cannot be taken apart
+                self._by_clock = True
+            else:
+                cohort.log.forget(rows)
+                return
+        for cohort in self._cohorts:
+            cohort.here &= ~(here if cohort.rows is None else here[cohort.rows])
+        self._cohorts = [cohort for cohort in self._cohorts if cohort.here.any()]
+        self._cohorts.append(
+            self._cohort(rows, mean[rows], cov[rows], None if keys is None else keys[rows])
+        )
+
+    def _cohort(self, rows: Ints | None, mean: Array, cov: Array, keys: Keys | None) -> _Cohort:
+        log = LatestInnovations(self._channels, len(mean), self._delays.window > 0)
+        belief = start(self.estimator, mean, cov, keys)
+        fusion = Fusion(self.estimator, belief, Inbox(self._channels), self._delays, log)
+        return _Cohort(rows, np.ones(len(mean), bool), fusion, log)
+
+    def _advance(
+        self, cohort: _Cohort, event: Event, u: Array, arrived: Sequence[Delivery]
+    ) -> None:
+        rows = cohort.rows
+        if rows is not None:
+            going = cohort.here if event.rows is None else cohort.here & event.rows[rows]
+            if not going.any():
+                return
+            u, event = u[rows], replace(event, rows=None if going.all() else going)
+            arrived = [part for d in arrived if (part := _of(d, rows, going)) is not None]
+        elif not cohort.here.all():
+            going = cohort.here if event.rows is None else cohort.here & event.rows
+            if not going.any():
+                return
+            event = replace(event, rows=going)
+            every = np.arange(self.rows)
+            arrived = [part for d in arrived if (part := _of(d, every, going)) is not None]
+        oldest = cohort.fusion.step(event, u, arrived)
+        cohort.log.settle(oldest)
+
+    def _moments(self, cohort: _Cohort) -> tuple[Array, Array]:
+        belief = cohort.fusion.belief
+        return self.estimator.mean(belief), self.estimator.cov(belief)
+
+    def _take(self, cohort: _Cohort) -> None:
+        here, log, (mean, cov) = cohort.here, cohort.log, self._moments(cohort)
+        rows = np.arange(self.rows) if cohort.rows is None else cohort.rows
+        good = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-2, -1))
+        good &= ~self.failed[rows] & here
+        self.estimate[rows[good]], self.cov[rows[good]] = mean[good], cov[good]
+        self.failed[rows[here]] = ~good[here]
+        here_now = rows[here]
+        self.innovation[here_now], self.nis[here_now] = log.innovation[here], log.nis[here]
+        self.dof[here_now] = log.dof[here]
+
+    def _nees(self, error: Array) -> Array:
+        """NEES `(row,)`; NaN where P has no Cholesky factor."""
+        if self.rows > 1:
+            return quadratic_form(self.cov, error)
+        *_, solved, fault = dposv(self.cov[0], error[0])  # a fifth of the time, for one row
+        return np.array([error[0] @ solved if fault == 0 else np.nan])
+
+    def _guard(self, call: Any) -> None:
+        try:
+            call()
+        except EstbenchError:
+            raise
+        except Exception as error:  # a user's estimator may raise anything
+            raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
+
+
+def _of(delivery: Delivery, rows: Ints, going: Mask) -> Delivery | None:
+    """The part of a delivery that comes to some rows of a cohort."""
+    mask = going if delivery.mask is None else delivery.mask[rows] & going
+    if not mask.any():
+        return None
+    due = delivery.due if isinstance(delivery.due, int) else delivery.due[rows]
+    return replace(delivery, due=due, y=delivery.y[rows], mask=None if mask.all() else mask)
+
+
+def _without_nan(values: Array, instead: float = 0.0) -> Array:
+    """A copy, with a number for NaN."""
+    return values.copy() if surely_finite(values) else np.nan_to_num(values, nan=instead)

@@ -1,0 +1,105 @@
+"""Where truth, controls and readings of a batch come from: recorded beforehand, or stepped along.
+
+Arrays are time-major `(instant, run, ...)`: the event loop works on one instant of all runs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estbench.sensors.clock import Event
+from estbench.sensors.sampling import Delivery
+from estbench.sensors.timing import Instant
+from estbench.shapes import Array
+from estbench.simulation.controllers import Controller
+from estbench.simulation.truth import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What happened in some runs.
+
+    Attributes:
+        x: true states `(instant + 1, run, nx)`, the first at t = 0; NaN from where MuJoCo failed.
+        u: controls `(instant, run, nu)`, held up to the instant.
+        deliveries: what arrived at each instant.
+    """
+
+    x: Array
+    u: Array
+    deliveries: list[list[Delivery]]
+
+
+class Recorded:
+    """A trajectory that was simulated beforehand, the same for every estimator."""
+
+    def __init__(self, instants: Sequence[Instant], trajectory: Trajectory):
+        self.events: Sequence[Event] = [Event(instant.tick, instant) for instant in instants]
+        self.x0 = trajectory.x[0]
+        self._trajectory = trajectory
+
+    def control(self, k: int, estimate: Array) -> Array:
+        """The recorded control."""
+        return self._trajectory.u[k]
+
+    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
+        """The recorded state and readings."""
+        return self._trajectory.x[k + 1], self._trajectory.deliveries[k]
+
+
+class Live:
+    """Robots driven by what a controller sees: same random numbers, another trajectory for each.
+
+    Args:
+        simulator: the true robots at their start.
+        instants: of the runs.
+        controller: asked at every instant that says so.
+        period: time between control updates, s.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        instants: Sequence[Instant],
+        controller: Controller,
+        period: float,
+    ):
+        self.events: Sequence[Event] = [Event(instant.tick, instant) for instant in instants]
+        self.x0 = simulator.x
+        self._simulator, self._controller, self._period = simulator, controller, period
+        self._u = np.empty(0)
+
+    def control(self, k: int, estimate: Array) -> Array:
+        """The controller's answer to the states `(run, nx)` that it sees."""
+        instant = self.events[k].instant
+        if instant.control:
+            step = round(instant.start / self._period)
+            self._u = self._controller(step, instant.start, finite(estimate, self.x0))
+        return self._u
+
+    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
+        """Step the robots."""
+        arrived = self._simulator.advance(self.events[k], u)
+        return self._simulator.x, arrived
+
+
+def record(source: Live) -> Trajectory:
+    """Run robots through their schedule under a controller that sees the true state."""
+    x, count = source.x0, len(source.events)
+    states = np.empty((count + 1, *x.shape))
+    states[0] = x
+    controls, deliveries = [], []
+    for k in range(count):
+        u = source.control(k, x)
+        x, arrived = source.advance(k, u)
+        states[k + 1] = x
+        controls.append(u)
+        deliveries.append(arrived)
+    return Trajectory(states, np.stack(controls), deliveries)
+
+
+def finite(x: Array, fallback: Array) -> Array:
+    """X with the rows that are not finite replaced: a failed run must not reach a controller."""
+    bad = ~np.isfinite(x).all(axis=-1)
+    return np.where(bad[:, None], fallback, x) if bad.any() else x

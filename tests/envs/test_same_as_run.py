@@ -1,0 +1,124 @@
+"""An environment is the run: stepped with its controls it gives its truth, readings and estimates.
+
+To the last bit, for every bundled scenario and every example, scalar and vector.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import estbench.envs
+from estbench.envs.world import World
+from estbench.experiment import setup
+from estbench.inference.event_loop import run_filter
+from estbench.montecarlo import run as montecarlo
+from estbench.randomness import streams
+from estbench.simulation.sources import Live, Recorded, Trajectory, record
+
+ROOT = Path(__file__).parents[2]
+SCENARIOS = sorted(
+    str(path.relative_to(ROOT))
+    for folder in ("assets", "examples")
+    for path in (ROOT / folder).rglob("*.toml")
+)
+MORE = {
+    "everything late": (
+        "assets/cartpole/scenario.toml",
+        (
+            "model.timestep=0.002", "model.frame_skip=5", "channels.cart_encoder.jitter=0.004",
+            "channels.cart_encoder.latency=0.012", "channels.cart_encoder.latency_std=0.006",
+            "channels.pole_encoder.rate=71.42857142857143", "channels.pole_encoder.dropout=0.2",
+            "channels.pole_encoder.stuck=0.02", "channels.pole_encoder.bias_walk=0.01",
+            "channels.pole_encoder.outlier_probability=0.1",
+        ),
+    ),
+    "believed latency": (
+        "assets/pendulum/scenario.toml",
+        ("channels.encoder.latency=0.05", "filter.channels.encoder.latency=0.02"),
+    ),
+    "no belief in latency": (
+        "assets/pendulum/scenario.toml",
+        ("channels.encoder.latency=0.05", "filter.channels.encoder.latency=0.0"),
+    ),
+    "short window": (
+        "assets/pendulum/scenario.toml",
+        ("channels.encoder.latency=0.03", "channels.encoder.latency_std=0.02",
+         "filter.window=0.03"),
+    ),
+    "schedules and draws": (
+        "assets/pendulum/scenario.toml",
+        (
+            "channels.gyro.schedule=[[0.1, 1.0], [9.0, 4.0]]",
+            "process_noise.schedule=[[0.2, 1.0], [9.0, 9.0]]",
+            "truth.draw.'body_mass.arm'.relative_std=0.1",
+        ),
+    ),
+}  # fmt: skip
+CASES = {name: (name, ()) for name in SCENARIOS} | MORE
+
+
+def resolved(case, duration=None):
+    path, overrides = CASES[case]
+    scenario = estbench.scenario.load.load(ROOT / path, list(overrides))
+    periods = 40 if scenario.simulation.duration < 30 else 15
+    period = setup.build(scenario).plant.period
+    return montecarlo.resolve(scenario, duration=duration or periods * period)
+
+
+def simulated(prepared, runs):
+    """The truth of some runs, what was read in them, and the traces of each estimator."""
+    live = Live(
+        prepared.simulator(runs), prepared.instants, prepared.controller(runs),
+        prepared.plant.period,
+    )  # fmt: skip
+    trajectory: Trajectory = record(live)
+    for label in prepared.scenario.estimators:
+        mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
+        keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
+        estimator = prepared.estimator(label)
+        if hasattr(estimator, "smooth"):
+            continue
+        traces = run_filter(
+            estimator, prepared.space, (mean, cov), Recorded(prepared.instants, trajectory),
+            prepared.channel_spaces, delays=prepared.delays(label), keys=keys, keep_cov=True,
+        )  # fmt: skip
+        yield label, trajectory, traces
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("rows", [1, 5])
+def test_the_rows_of_a_world_are_the_runs_of_a_batch(case, rows, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    scenario = resolved(case)
+    prepared = setup.build(scenario)
+    ends = [k + 1 for k, i in enumerate(prepared.instants) if i.tick % prepared.plant.nstep == 0]
+    starts = [0, *ends[:-1]]
+    for label, trajectory, traces in simulated(prepared, range(rows)):
+        table = {"estimators": {label: scenario.estimators[label]}}
+        world = World(setup.build(scenario.model_copy(update=table)), rows)
+        world.reset(np.arange(rows), scenario.simulation.seed, range(rows))
+        heard, arrived = [], []
+        advance = world.simulator.advance
+
+        def listen(event, u, advance=advance, heard=heard):
+            out = advance(event, u)
+            heard.append(out)
+            return out
+
+        world.simulator.advance = listen
+        np.testing.assert_array_equal(world.x, trajectory.x[0])
+        for first, last in zip(starts, ends):
+            world.step(trajectory.u[first])
+            np.testing.assert_array_equal(world.x, trajectory.x[last])
+            assert world.filter is not None
+            np.testing.assert_array_equal(world.filter.estimate, traces.mean[last])
+            np.testing.assert_array_equal(world.filter.cov, traces.cov[last])
+        arrived = trajectory.deliveries
+        assert len(heard) == len(arrived)
+        for ours, theirs in zip(heard, arrived):
+            assert [d.channel for d in ours] == [d.channel for d in theirs]
+            for a, b in zip(ours, theirs):
+                came = np.ones(rows, bool) if b.mask is None else b.mask
+                np.testing.assert_array_equal(came, True if a.mask is None else a.mask)
+                np.testing.assert_array_equal(a.y[came], b.y[came])
