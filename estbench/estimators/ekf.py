@@ -17,7 +17,7 @@ class EKF(GaussianEstimator):
     """Extended Kalman filter: the model linearized about the current estimate.
 
     Cost per step: n + 1 transitions and n + 1 measurements with forward differences. Choose it
-    first: it is the cheapest, and right while the error stays small against the curvature.
+    first: it is cheap, and accurate while the model is nearly linear over the error.
 
     Attributes:
         model: the filter's model.

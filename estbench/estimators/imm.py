@@ -20,12 +20,12 @@ from estbench.spaces.manifold import Manifold
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A Gaussian a mode and the modes' probabilities.
+    """The beliefs of the modes and their probabilities.
 
     Attributes:
-        beliefs: one belief of the base filter a mode.
-        probability: μ `(run, mode)`, NaN in a failed run.
-        fault: `Fault` `(run,)`; a run fails when all its modes have.
+        beliefs: one belief of the base filter per mode.
+        probability: μ; NaN in a failed run.
+        fault: `Fault` of each run; a run fails when all its modes have failed.
     """
 
     beliefs: tuple[Any, ...]
@@ -35,27 +35,28 @@ class Modes:
 
 @dataclass(frozen=True)
 class IMM:
-    """Interacting multiple models: a bank of filters, the model in force a Markov chain.
+    """Interacting multiple models: a bank of filters; the active model is a Markov chain.
 
     Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-7 to
     -10), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The
     answer is the moment-matched Gaussian (eq. 11.6.6-16, -17), all on the state's manifold.
 
-    Cost per step: that of the base filter times the count of modes. Choose it where the robot
-    behaves in a few distinct ways (a manoeuvre, a slipping wheel, a degraded actuator).
+    Cost per step: that of the base filter times the number of modes. Choose it where the robot
+    has a few distinct modes of operation (a manoeuvre, a slipping wheel, a degraded actuator).
 
-    A mode that fails in a run gets probability zero and is started again by the next mixing.
+    A mode that fails gets probability zero in that run; the next mixing starts it again.
 
     Attributes:
-        model: the model that the modes are made of, and whose state is estimated.
+        model: the model from which the modes are derived, and whose state is estimated.
         models: the modes' models on the same state space; by default the one model for all. In a
             scenario a list of tables, each what that mode changes of the filter's model, like
             `filter.set`.
         transition: probability of going from mode i to mode j at a prediction `(mode, mode)`; rows
             sum to one. By default `switching` decides.
         base: registered name (or `package.module:Name`) of the filter in each mode.
-        process_noise_scales: factors on Q, one a mode; default 1 and 100, with `models` all 1.
-        switching: probability of leaving a mode at a prediction, the others being equally likely.
+        process_noise_scales: factors on Q, one per mode; default 1 and 100, with `models` all 1.
+        switching: probability of leaving a mode at a prediction; the other modes are equally
+            likely.
         settings: settings of the base filter.
     """
 
@@ -77,7 +78,7 @@ class IMM:
         object.__setattr__(self, "_chain", self._markov_chain(len(filters)))
 
     def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Modes:
-        """Every mode starts from mean `(run, nx)` and cov `(run, n, n)`, all equally likely."""
+        """Start every mode from N(mean, cov), with equal probabilities."""
         count = len(self._filters)
         beliefs = tuple(f.init(mean, cov) for f in self._filters)
         probability = np.full((len(mean), count), 1.0 / count)
@@ -130,11 +131,11 @@ class IMM:
         return self._settled(posterior), _mixed_innovation(innovations, prior)
 
     def mean(self, belief: Modes) -> Float[Array, "run nx"]:
-        """x̂ `(run, nx)`, the mean of the mixture."""
+        """The mean x̂ of the mixture."""
         return combine(self.model.space, *self._moments(belief), belief.probability)[0]
 
     def cov(self, belief: Modes) -> Float[Array, "run n n"]:
-        """P `(run, n, n)`, the covariance of the mixture."""
+        """The covariance P of the mixture."""
         return combine(self.model.space, *self._moments(belief), belief.probability)[1]
 
     def _moments(self, belief: Modes) -> tuple[Array, Array]:
@@ -237,7 +238,7 @@ def combine(
 
 
 def log_likelihood(innovation: Innovation) -> Float[Array, " run"]:
-    """Log N(ν; 0, S) `(run,)`; what did not arrive has unit variance and counts for nothing."""
+    """Log N(ν; 0, S); a component that did not arrive has unit variance and contributes nothing."""
     diagonal = np.diagonal(cholesky(innovation.cov), axis1=-2, axis2=-1)
     constant = innovation.dof * np.log(2.0 * np.pi)
     return -0.5 * (innovation.nis + constant) - np.log(diagonal).sum(axis=-1)

@@ -1,4 +1,4 @@
-"""The update of the linear family: gain by Cholesky, the covariance in one of three forms."""
+"""The update of the linear filters: gain by Cholesky, the covariance in one of three forms."""
 
 from typing import Literal, TypeVar, cast
 
@@ -30,11 +30,11 @@ def linear_update(
     Args:
         space: the state space.
         belief: the prior.
-        residual: ν `(run, m)`.
-        H: `(run, m, n)`.
-        R: `(run, m, m)` or `(m, m)`.
-        mask: `(run, m)`, True where a component arrived.
-        form: of the covariance, see `posterior_cov`.
+        residual: ν.
+        H: measurement Jacobian.
+        R: measurement noise covariance; one, or one per run.
+        mask: True where a component arrived; None if all did.
+        form: form of the covariance, see `posterior_cov`.
     """
     PHt = belief.cov @ H.mT
     c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
@@ -49,7 +49,7 @@ def posterior_cov(
     H: Float[Array, "run m n"],
     R: Float[Array, "... m m"],
 ) -> Float[Array, "run n n"]:
-    """P⁺ `(run, n, n)` in the tangent at x̂⁻, to be symmetrized.
+    """P⁺ in the tangent at x̂⁻; the caller symmetrizes it.
 
     `joseph` is (I - K H) P (I - K H)ᵀ + K R Kᵀ (Bishop, eq. 19) and keeps P positive definite under
     rounding; `simplified` is (I - K H) P (eq. 21), `symmetric` P - K S Kᵀ (source 003, eq. 8).
@@ -67,7 +67,7 @@ def joseph(
     H: Float[Array, "run m n"],
     R: Float[Array, "... m m"],
 ) -> Float[Array, "run n n"]:
-    """(I - K H) P (I - K H)ᵀ + K R Kᵀ `(run, n, n)`, right for any gain K (Bishop, eq. 19).
+    """(I - K H) P (I - K H)ᵀ + K R Kᵀ, which holds for any gain K (Bishop, eq. 19).
 
     A component that did not arrive has a zero column in K, so H and R need no mask.
     """
@@ -81,13 +81,15 @@ def without_absent(
     R: Float[Array, "... m m"],
     mask: Bool[Mask, "run m"] | None,
 ) -> tuple[Float[Array, "run m"], Float[Array, "run m n"], Float[Array, "... m m"]]:
-    """ν, H and R in which what did not arrive predicts zero, reads zero and has noise of its own.
+    """ν, H and R without the components that did not arrive.
+
+    Such a component gets a zero residual, a zero row of H, and independent noise of variance 1.
 
     Args:
-        residual: ν `(run, m)`.
-        H: `(run, m, n)`.
-        R: `(run, m, m)`.
-        mask: `(run, m)`, True where a component arrived; None means everywhere.
+        residual: ν.
+        H: measurement Jacobian.
+        R: measurement noise covariance.
+        mask: True where a component arrived; None if all did.
     """
     if mask is None or mask.all():
         return residual, H, R

@@ -1,4 +1,4 @@
-"""What an estimator shares that leaves prediction and update to a filter of its own."""
+"""Base of the estimators that delegate prediction and update to another filter."""
 
 from typing import Any
 
@@ -8,12 +8,12 @@ from estbench.shapes import Array, Bool, Float, Mask
 
 
 class OverFilter:
-    """Predicts and updates as its `_filter` does; a belief is that filter's."""
+    """Delegates prediction and update to `_filter`; the belief is that of this filter."""
 
     _filter: Estimator
 
     def predict(self, belief: Any, u: Float[Array, "run nu"], t: float, dt: float) -> Any:
-        """The filter's prediction."""
+        """The prediction of the filter."""
         return self._filter.predict(belief, u, t, dt)
 
     def update(
@@ -25,5 +25,5 @@ class OverFilter:
         channels: Channels = None,
         mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Any, Innovation]:
-        """The filter's update."""
+        """The update of the filter."""
         return self._filter.update(belief, y, u, t, channels, mask)

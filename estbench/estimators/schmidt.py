@@ -19,13 +19,13 @@ from estbench.spaces.patterns import expand
 class SchmidtEKF(EKF):
     """Schmidt-Kalman EKF: considered coordinates are uncertain, but not estimated (gain zero).
 
-    The optimal gain K = P⁻ Hᵀ S⁻¹ keeps its rows for the estimated coordinates only; the covariance
-    is Joseph's with that gain, which holds for any gain, so the considered coordinates keep their
-    variance and their correlations with the rest are right.
+    The rows of the optimal gain K = P⁻ Hᵀ S⁻¹ for the considered coordinates are set to zero. The
+    covariance is updated in Joseph's form, which holds for any gain: the considered coordinates
+    keep their variance, and their correlations with the other coordinates are correct.
 
-    Cost per step: the EKF's. Choose it for biases and parameters that are too weakly observable to
-    estimate but too large to ignore; usually on an `Augmented` model, whose biases are called
-    `bias.*` and `input.*` (from a scenario: `type = "bias_ekf"` with `considered`).
+    Cost per step: that of the EKF. Choose it for biases and parameters that are too weakly
+    observable to estimate but too large to ignore; usually on an `Augmented` model, whose biases
+    are called `bias.*` and `input.*` (from a scenario: `type = "bias_ekf"` with `considered`).
 
     Attributes:
         model: the filter's model.

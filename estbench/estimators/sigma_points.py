@@ -13,9 +13,9 @@ class SigmaPoints:
     """A cubature rule for N(0, I): Σ wᵢ g(ξᵢ) ≈ E g(ξ).
 
     Attributes:
-        points: ξ `(point, n)`.
-        mean_weights: `(point,)`, sum 1.
-        cov_weights: `(point,)`.
+        points: ξ.
+        mean_weights: weights of the mean; their sum is 1.
+        cov_weights: weights of the covariance.
     """
 
     points: Float[Array, "point n"]
@@ -25,13 +25,13 @@ class SigmaPoints:
     def draw(
         self, space: Manifold, mean: Float[Array, "run nx"], lower: Float[Array, "run n n"]
     ) -> Float[Array, "run point nx"]:
-        """The points x̂ ⊞ L ξ `(run, point, nx)` for a factor L `(run, n, n)` of P."""
+        """The points x̂ ⊞ L ξ for a factor L of P."""
         return space.plus(mean[:, None], self.points @ lower.mT)
 
     def moments(
         self, space: Manifold, values: Float[Array, "run point nx"]
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"], Float[Array, "run n n"]]:
-        """Mean `(run, nx)`, residuals from it `(run, point, n)` and covariance `(run, n, n)`."""
+        """Mean of the values, their residuals from it, and their covariance."""
         mean = space.mean(values, self.mean_weights)
         residual = space.minus(values, mean[:, None])
         return mean, residual, self.cross(residual, residual)
@@ -39,7 +39,7 @@ class SigmaPoints:
     def cross(
         self, a: Float[Array, "run point n"], b: Float[Array, "run point m"]
     ) -> Float[Array, "run n m"]:
-        """Σ wᵢ aᵢ bᵢᵀ `(run, n, m)` of residuals `(run, point, n)` and `(run, point, m)`."""
+        """Σ wᵢ aᵢ bᵢᵀ of two sets of residuals."""
         return (a * self.cov_weights[:, None]).mT @ b
 
 

@@ -23,14 +23,14 @@ from estbench.shapes import Array, Bool, Float, Mask
 
 @dataclass(frozen=True)
 class SquareRootEKF(FactorEstimator):
-    """Square-root EKF: a triangular factor L in place of P = L Lᵀ, which stays definite.
+    """Square-root EKF: it propagates a triangular factor L of P = L Lᵀ, so P stays definite.
 
-    Both steps triangularize an array by QR; P and S are never formed, so the factor keeps twice
-    the digits. It equals the EKF up to rounding.
+    Both steps triangularize an array by QR. P and S are not formed, so the factor has twice the
+    number of correct digits. It equals the EKF up to rounding.
 
     Cost per step: as the EKF, n + 1 transitions and n + 1 measurements with forward differences,
-    and QR in place of products. Choose it when P is badly conditioned: very precise sensors beside
-    very uncertain states, long runs, a covariance fault of another filter.
+    and QR in place of products. Choose it where P is ill-conditioned: very precise sensors together
+    with very uncertain states, long runs, or a covariance fault of another filter.
 
     Attributes:
         model: the filter's model.
@@ -57,7 +57,7 @@ class SquareRootEKF(FactorEstimator):
         channels: Channels = None,
         mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
-        """QR takes [[R^½, H L⁻], [0, L⁻]] to [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
+        """QR transforms [[R^½, H L⁻], [0, L⁻]] to [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
         R = self.model.measurement_noise(t, channels)
         residual = self.model.output(channels).minus(y, predicted)

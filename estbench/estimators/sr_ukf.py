@@ -27,19 +27,19 @@ from estbench.spaces.linalg import solve_lower
 
 @dataclass(frozen=True)
 class SquareRootUKF(FactorEstimator):
-    """Square-root UKF: a triangular factor in place of P; points are redrawn before the update.
+    """Square-root UKF: it propagates a triangular factor of P and redraws points before the update.
 
     The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the equally weighted residuals and Q^½, then a
-    rank-one update with the centre's residual, whose weight may be negative. The measurement takes
-    K S^½ from L by one downdate a component. It equals the UKF up to rounding.
+    rank-one update with the residual of the centre, whose weight may be negative. A measurement
+    subtracts K S^½ from L by one downdate per component. It equals the UKF up to rounding.
 
     Cost per step: 2 n + 1 transitions and 2 n + 1 measurements, no Cholesky factorization of P.
-    Choose it over the UKF when P is badly conditioned.
+    Choose it over the UKF where P is ill-conditioned.
 
     Attributes:
         model: the filter's model.
-        alpha, beta, kappa: of the scaled rule, as in `UKF`; at the default 1, 2, 0 the centre's
-            covariance weight is 2 and nothing is downdated in the prediction.
+        alpha, beta, kappa: of the scaled rule, as in `UKF`; at the default 1, 2, 0 the covariance
+            weight of the centre is 2, and the prediction needs no downdate.
     """
 
     model: Model
@@ -100,7 +100,7 @@ class SquareRootUKF(FactorEstimator):
         return factor_settle(space, belief, delta, factor, fault), innovation
 
     def _factor(self, residuals: Array, noise: Array) -> Array:
-        """The factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ; the centre's point is the first."""
+        """The factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ; the first residual is that of the centre."""
         weights = self.rule.cov_weights
         columns = np.swapaxes(np.sqrt(weights[1]) * residuals[:, 1:], -1, -2)
         factor = triangular(np.concatenate([columns, noise], axis=-1))

@@ -16,9 +16,9 @@ from estbench.spaces.linalg import cholesky, symmetrize
 
 @dataclass(frozen=True, eq=False)
 class SigmaBelief(Gaussian):
-    """A Gaussian with the propagated points it came from, kept when they are not redrawn.
+    """A Gaussian with the propagated points that it is computed from.
 
-    `points` is `(run, point, nx)`, or None after an update or when the points are redrawn.
+    `points` is None after an update, and if the points are redrawn.
     """
 
     points: Float[Array, "run point nx"] | None = None
@@ -26,13 +26,13 @@ class SigmaBelief(Gaussian):
 
 @dataclass(frozen=True)
 class SigmaPointFilter(GaussianEstimator):
-    """A Gaussian filter by any sigma-point rule; the UKF and the cubature filters differ in `rule`.
+    """A Gaussian filter with any sigma-point rule; the UKF and the cubature filters set `rule`.
 
     Attributes:
         model: the filter's model.
-        redraw: whether fresh points are drawn from x̂⁻, P⁻ before the measurement update
-            (source 003, eq. 11), so that they see the process noise; otherwise the propagated ones
-            are used and the update knows of Q only through P⁻.
+        redraw: whether new points are drawn from x̂⁻, P⁻ before the measurement update (source 003,
+            eq. 11), so that their spread includes the process noise; otherwise the propagated
+            points are used, and Q enters the update through P⁻ only.
     """
 
     model: Model
@@ -40,7 +40,7 @@ class SigmaPointFilter(GaussianEstimator):
     rule: SigmaPoints = field(init=False, repr=False)
 
     def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Gaussian:
-        """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
+        """Start from N(mean, cov)."""
         start = super().init(mean, cov)
         return SigmaBelief(start.mean, start.cov, start.fault)
 
@@ -89,7 +89,7 @@ class SigmaPointFilter(GaussianEstimator):
 def failed_factor(
     lower: Float[Array, "run n n"], cov: Float[Array, "run n n"]
 ) -> UInt[Faults, " run"]:
-    """`Fault.COVARIANCE` `(run,)` where a finite covariance has no Cholesky factor."""
+    """`Fault.COVARIANCE` where a finite covariance has no Cholesky factor."""
     failed = ~np.isfinite(lower[:, 0, 0]) & np.isfinite(cov[:, 0, 0])
     return np.where(failed, Fault.COVARIANCE, Fault.NONE).astype(np.uint8)
 
@@ -98,14 +98,14 @@ def failed_factor(
 class UKF(SigmaPointFilter):
     """Unscented Kalman filter, by the scaled transform.
 
-    Cost per step: 2 n + 1 transitions and 2 n + 1 measurements.
-    Choose it where the EKF is overconfident because the model bends within one standard deviation,
-    or where the model has no usable derivative.
+    Cost per step: 2 n + 1 transitions and 2 n + 1 measurements. Choose it where the EKF is
+    overconfident because the model is nonlinear within one standard deviation, or where the model
+    has no usable derivative.
 
     Attributes:
         alpha: spread of the points, in (0, 1]; at the default 1 no weight is large, so P stays
-            positive definite. Small values (1e-3) take huge weights of opposite sign.
-        beta: 2 suits a Gaussian.
+            positive definite. Small values (1e-3) give large weights of opposite sign.
+        beta: 2 is optimal for a Gaussian.
         kappa: secondary spread; n + κ must be positive.
     """
 

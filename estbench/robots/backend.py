@@ -43,15 +43,15 @@ class Backend(Protocol):
         nstep: int,
         force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead nx"]:
-        """States `(..., nx)` after `nstep` physics steps of the model's timestep.
+        """States after `nstep` physics steps of the model's timestep.
 
         Args:
             x: states `(run, nx)` or `(run, point, nx)`.
             u: controls `(run, nu)` or `(run, point, nu)`, broadcast over the points; not clamped.
             t: time at the start, s; one number, or one per row `(run, 1)`.
             nstep: number of physics steps, at least 1.
-            force: generalized forces, N or N m, broadcast to `(..., nv)` and held over the steps;
-                None for none.
+            force: generalized forces, N or N m, broadcast over the leading axes and constant over
+                the steps; None for none.
         """
         ...
 
@@ -63,7 +63,7 @@ class Backend(Protocol):
         stage: int,
         columns: Int[NDArray[np.intp], " m"],
     ) -> Float[Array, "*lead m"]:
-        """Noise-free sensor readings `(..., len(columns))` at x, in the units of the sensors.
+        """Noise-free sensor readings at x, in the units of the sensors.
 
         Args:
             x: as for `step`.
@@ -71,7 +71,7 @@ class Backend(Protocol):
             t: as for `step`.
             stage: the last forward stage (`mjtStage`) that is computed; see
                 `measurement.needed_stage`.
-            columns: columns of `sensordata` `(m,)`.
+            columns: columns of `sensordata`.
         """
         ...
 
@@ -82,7 +82,7 @@ class Backend(Protocol):
         t: float | Array,
         force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead n"]:
-        """Rates ẋ = (q̇, q̈, ȧ) `(..., n)` at x by the whole forward dynamics, per s.
+        """Rates ẋ = (q̇, q̈, ȧ) at x by the complete forward dynamics, per s.
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space. The
         arguments are those of `step`.
@@ -98,7 +98,7 @@ class Backend(Protocol):
             count: number of rows.
             field: field of `MjModel`, e.g. `body_mass`.
             index: which of the field's elements.
-            values: one value per row `(count, ...)`.
+            values: one value per row.
         """
         ...
 

@@ -1,7 +1,7 @@
-"""Many states of one model as rows of `mujoco.batch.Batch`: step them, read their sensors and flow.
+"""The backend on MuJoCo's own batch: every state is one row of a `mujoco.batch.Batch`.
 
-This is the only file that touches `mujoco.batch`. A row that cannot be computed (not finite, too
-large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent reset.
+This is the only file that imports `mujoco.batch`. A row that cannot be computed (not finite, too
+large, an engine error) is NaN in the result; MuJoCo itself would reset it without an error.
 """
 
 import math
@@ -45,14 +45,14 @@ class BatchBackend:
             start = (probe.bind(field).ctypes.data - address) // 8
             return slice(start, start + width)
 
-        # In the state row qpos, qvel and act follow each other: x is one block of columns.
+        # In a row of the state qpos, qvel and act are consecutive: x is one block of columns.
         self._x = columns("qpos", self.nx)
         self._time = columns("time", 1)
         self._ctrl = columns("ctrl", model.nu)
         self._force = columns("qfrc_applied", model.nv)
 
     def batch(self, count: int, use: flags.Use = "step") -> Batch:
-        """The batch of `count` rows for a use, with zero forces."""
+        """The batch of `count` rows for a use; its applied forces are zero."""
         if (count, use) not in self._batches:
             if use not in self._models:
                 self._models[use] = flags.reduced(self.model, use)
@@ -69,8 +69,8 @@ class BatchBackend:
     def vary(
         self, count: int, field: str, index: int | slice, values: Float[Array, "count ..."]
     ) -> None:
-        """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
-        if not self._varied:  # the parameter may be what switches a constraint on
+        """See `Backend.vary`."""
+        if not self._varied:  # the parameter may enable a constraint
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
             self._varied = True
         for use in self._models:
@@ -86,15 +86,7 @@ class BatchBackend:
         nstep: int,
         force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead nx"]:
-        """States `(..., nx)` after `nstep` physics steps.
-
-        Args:
-            x: `(run, nx)` or `(run, point, nx)`.
-            u: controls, broadcast against x's leading axes: `(run, nu)` or `(run, point, nu)`.
-            t: time at the start, s; `(run, 1)` where the runs differ.
-            nstep: physics steps.
-            force: generalized forces `(run, point, nv)` held over the steps.
-        """
+        """See `Backend.step`."""
         batch, rows, bad = self._load(x, u, t, "step")
         if force is not None:
             rows[..., self._force] = force
@@ -114,7 +106,7 @@ class BatchBackend:
         stage: int,
         columns: Int[NDArray[np.intp], " m"],
     ) -> Float[Array, "*lead m"]:
-        """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
+        """See `Backend.read`."""
         slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
         batch, _, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
         bad = self._run(batch, bad, 0, stage)
@@ -130,10 +122,7 @@ class BatchBackend:
         t: float | Array,
         force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead n"]:
-        """Rates (q̇, q̈, ȧ) `(..., 2 nv + na)` at x by the whole forward dynamics; see `step`.
-
-        q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
-        """
+        """See `Backend.flow`."""
         batch, rows, bad = self._load(x, u, t, "step")
         derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
         if force is not None:
@@ -150,7 +139,7 @@ class BatchBackend:
     def _load(
         self, x: Array, u: Array, t: float | Array, use: flags.Use
     ) -> tuple[Batch, Array, Mask | None]:
-        """Write states and controls; rows that are not finite are parked at rest and returned."""
+        """Write states and controls; a row that is not finite is set to rest and is in the mask."""
         lead = x.shape[:-1]
         batch = self.batch(math.prod(lead), use)
         rows = batch.state.reshape(*lead, -1)
@@ -167,7 +156,7 @@ class BatchBackend:
         return batch, rows, bad
 
     def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
-        """Step or run forward; the mask of rows without a result, or None."""
+        """Step, or compute forward stages; the mask of the rows without a result, or None."""
         failed: Mask | None = None
         try:
             if nstep:

@@ -13,8 +13,8 @@ class ControlRange:
     """The `ctrlrange` of every actuator of a model.
 
     Attributes:
-        low: lowest control `(nu,)`; -inf where there is no limit.
-        high: highest control `(nu,)`; inf where there is no limit.
+        low: lowest control; -inf where there is no limit.
+        high: highest control; inf where there is no limit.
     """
 
     low: Float[Array, " nu"]
@@ -30,5 +30,5 @@ class ControlRange:
         )
 
     def clamp(self, u: Float[Array, "*lead nu"]) -> Float[Array, "*lead nu"]:
-        """Controls `(..., nu)` clipped to the range, as MuJoCo would clip them."""
+        """Controls clipped to the range, as MuJoCo would clip them."""
         return np.minimum(np.maximum(u, self.low), self.high)

@@ -44,7 +44,7 @@ class SensorChannel:
 
 @dataclass(frozen=True, eq=False)
 class _Selection:
-    """What is needed to read a set of channels: what they read, and R."""
+    """A set of channels: the plan to read them, and R."""
 
     plan: Plan
     R: Array
@@ -54,8 +54,8 @@ class _Selection:
 class MujocoModel:
     """x⁺ = `mj_step`ᵏ(x, u) ⊞ w, y = sensordata(x, u) ⊞ v.
 
-    A transition over dt is dt/timestep physics steps; only the forward stage that the channels in
-    use need is computed for a measurement. Jacobians are differences of whole steps in the tangent
+    A transition over dt is dt/timestep physics steps. A measurement computes the forward stages
+    that its channels need, no more. Jacobians are differences of complete steps in the tangent
     space, so every integrator, actuator and sensor type works. It is a `ContinuousModel` too.
 
     Args:
@@ -63,8 +63,8 @@ class MujocoModel:
         channels: the sensors in use.
         disturbance: process noise.
         differences: scheme and step of the Jacobians.
-        nthread: threads of the batch.
-        u0: nominal control `(nu,)`, about which a `KF` linearizes; default zeros.
+        nthread: number of threads of the backend.
+        u0: nominal control, about which a `KF` linearizes; default zeros.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class MujocoModel:
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         return self.mjmodel.nu
 
     def output(self, channels: Channels = None) -> Manifold:
@@ -105,13 +105,13 @@ class MujocoModel:
     def transition(
         self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float
     ) -> Float[Array, "*lead nx"]:
-        """X after dt/timestep physics steps; NaN where MuJoCo could not go on."""
+        """The state after dt/timestep physics steps; NaN where MuJoCo cannot compute it."""
         return self._backend.step(x, self._clamp(u), t, self.steps(dt))
 
     def transition_jacobian(
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
-        """f(x) and Φ by differences of whole transitions."""
+        """f(x) and Φ by differences of complete transitions."""
         return self.differences.jacobian(
             lambda points: self.transition(points, u, t, dt), self._space, self._space, x
         )
@@ -127,7 +127,7 @@ class MujocoModel:
     def flow(
         self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
     ) -> Float[Array, "*lead n"]:
-        """ẋ = (q̇, q̈, ȧ) `(..., n)` of the forward dynamics, without what the integrator adds."""
+        """ẋ = (q̇, q̈, ȧ) of the forward dynamics, without the corrections of the integrator."""
         return self._backend.flow(x, self._clamp(u), t)
 
     def flow_jacobian(
@@ -151,7 +151,7 @@ class MujocoModel:
         t: float,
         channels: Channels = None,
     ) -> Float[Array, "*lead ny"]:
-        """The readings at x under the control u, undisturbed."""
+        """The readings at x under the control u, without disturbance or noise."""
         return self._select(channels).plan.read(self._backend, x, self._clamp(u), t)
 
     def measurement_jacobian(
@@ -161,7 +161,7 @@ class MujocoModel:
         t: float,
         channels: Channels = None,
     ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
-        """h(x) and H, by differences where the readings are more than numbers of the state."""
+        """h(x) and H, by differences unless every reading is a component of the state."""
         plan = self._select(channels).plan
         if plan.known is not None:
             point, H = plan.known
@@ -182,7 +182,7 @@ class MujocoModel:
         return R
 
     def steps(self, dt: float) -> int:
-        """Physics steps in dt.
+        """Number of physics steps in dt.
 
         Raises:
             ScenarioError: dt is not a positive multiple of the timestep.
@@ -229,7 +229,7 @@ class MujocoModel:
 
 
 def whole_steps(dt: float, timestep: float, what: str) -> int:
-    """Dt as a count of physics steps.
+    """The number of physics steps in dt.
 
     Raises:
         ScenarioError: dt is not a positive multiple of the timestep.

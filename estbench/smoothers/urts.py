@@ -20,8 +20,8 @@ def urts(
 ) -> list[Gaussian]:
     """Smoothed beliefs at `times`, backwards by sigma points drawn from each posterior.
 
-    Cost: one transition a sigma point (2 n + 1) and one Q for each interval. Choose it after a UKF
-    or cubature filter, with the same rule. On a linear model it is the batch least-squares
+    Cost: one transition per sigma point (2 n + 1) and one Q for each interval. Choose it after a
+    UKF or cubature filter, with the same rule. On a linear model it is the batch least-squares
     solution.
 
     Args:

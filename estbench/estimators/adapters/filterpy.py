@@ -12,7 +12,7 @@ from estbench.shapes import Array, Float
 
 @dataclass(frozen=True)
 class _FilterPy(PeerFilter):
-    """Of FilterPy, imported on use."""
+    """Base of the adapters for FilterPy."""
 
     def load(self) -> None:
         """Import FilterPy."""
@@ -23,7 +23,7 @@ class _FilterPy(PeerFilter):
 class FilterPyEKF(_FilterPy):
     """FilterPy's `ExtendedKalmanFilter`; it equals `ekf` up to rounding.
 
-    Cost per step: the EKF's, one run after the other in Python. Choose it to check either.
+    Cost per step: that of the EKF, run by run in Python. Choose it to check either library.
 
     Attributes:
         model: the filter's model, of vectors only.
@@ -53,7 +53,7 @@ class FilterPyEKF(_FilterPy):
 class FilterPyUKF(_FilterPy):
     """FilterPy's `UnscentedKalmanFilter` (2.0 redraws its points); it equals `ukf` up to rounding.
 
-    Cost per step: the UKF's, point after point in Python. Choose it to check either.
+    Cost per step: that of the UKF, point by point in Python. Choose it to check either library.
 
     Attributes:
         model: the filter's model, of vectors only.

@@ -1,4 +1,4 @@
-"""What the adapters share: a peer's filter knows one run, so the runs are done one by one."""
+"""Base of the adapters: a filter of another library handles one run, so runs are done in turn."""
 
 from dataclasses import dataclass, replace
 
@@ -19,16 +19,16 @@ Moments = tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class OneRun:
-    """The model as one run sees it at one time.
+    """The model for one run at one time.
 
     Attributes:
-        model: of all runs.
-        index: which run, for noise that differs between runs.
-        u: its control `(1, nu)`.
-        t: s.
-        dt: s to the next time; 0 for an update.
-        channels: that deliver.
-        arrived: which components did `(m,)`; None is all.
+        model: the model of all runs.
+        index: number of the run, for noise that differs between runs.
+        u: control of the run `(1, nu)`.
+        t: time, s.
+        dt: interval to the next time, s; 0 for an update.
+        channels: channels of the measurement.
+        arrived: mask `(m,)` of the components that arrived; None for all.
     """
 
     model: Model
@@ -40,11 +40,11 @@ class OneRun:
     arrived: NDArray[np.bool_] | None = None
 
     def f(self, points: Float[Array, "point n"]) -> Float[Array, "point n"]:
-        """The states `(point, n)` after dt."""
+        """The states after dt."""
         return self.model.transition(points[None], self.u, self.t, self.dt)[0]
 
     def f_jacobian(self, x: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-        """State `(n,)` and Φ `(n, n)` after dt."""
+        """State and Φ after dt."""
         moved, F = self.model.transition_jacobian(x[None], self.u, self.t, self.dt)
         return moved[0], F[0]
 
@@ -54,11 +54,11 @@ class OneRun:
         return Q[0] if Q.ndim == 3 else Q
 
     def h(self, points: Float[Array, "point n"]) -> Float[Array, "point m"]:
-        """What is measured of the states `(point, m)`."""
+        """The measurements at the states."""
         return self._kept(self.model.measurement(points[None], self.u, self.t, self.channels)[0])
 
     def h_jacobian(self, x: Float[Array, " n"]) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
-        """Measurement `(m,)` and H `(m, n)`."""
+        """Measurement and H."""
         y, H = self.model.measurement_jacobian(x[None], self.u, self.t, self.channels)
         return self._kept(y[0]), self._kept(H[0].T).T
 
@@ -74,7 +74,7 @@ class OneRun:
 
 @dataclass(frozen=True)
 class PeerFilter(GaussianEstimator):
-    """Drives another library's filter; a subclass predicts and updates one run.
+    """Runs a filter of another library; a subclass predicts and updates one run.
 
     Attributes:
         model: the filter's model, whose state and measurements must be vectors.
@@ -110,7 +110,7 @@ class PeerFilter(GaussianEstimator):
         raise NotImplementedError
 
     def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
-        """The library's prediction, run by run."""
+        """The prediction of the library, run by run."""
         mean, cov = belief.mean.copy(), belief.cov.copy()
         fault = np.zeros(len(mean), np.uint8)
         for i in np.flatnonzero(belief.fault == 0):
@@ -130,7 +130,7 @@ class PeerFilter(GaussianEstimator):
         channels: Channels = None,
         mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
-        """The library's update, run by run; what did not arrive is left out of H and R."""
+        """The update of the library, run by run; H and R hold only the components that arrived."""
         mean, cov = belief.mean.copy(), belief.cov.copy()
         runs, m = y.shape
         residual, S = np.zeros((runs, m)), np.tile(np.eye(m), (runs, 1, 1))
