@@ -1,6 +1,16 @@
+import pytest
 from hypothesis import settings
+
+from tests import typecheck
+
+typecheck.install()
 
 settings.register_profile(
     "estbench", derandomize=True, max_examples=50, deadline=None, database=None
 )
 settings.load_profile("estbench")
+
+
+@pytest.fixture(autouse=True)
+def _check_shapes():
+    typecheck.begin_test()

@@ -1,1 +1,1 @@
-"""Estimators, one algorithm a file, behind the protocol of `estbench.estimators.protocol`."""
+"""Estimators, one algorithm per file, behind the protocol of `estbench.estimators.protocol`."""

@@ -1,4 +1,4 @@
-"""EKF that corrects its noise covariances from the innovations, or enlarges P⁻ by hand."""
+"""EKF that estimates its noise covariances from the innovations, or enlarges P⁻ by settings."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import correct, mark_failed
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.spaces.patterns import expand
 
@@ -24,7 +24,7 @@ PerName = float | Sequence[float] | dict[str, float]
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveBelief(Gaussian):
-    """A Gaussian with what has been learnt about the noise.
+    """A Gaussian with the estimates of the noise.
 
     Attributes:
         variance: of each measurement coordinate's noise `(run, m)`, all channels; NaN until its
@@ -46,22 +46,23 @@ class AdaptiveEKF(EKF):
     the update, its correlations stay the model's. Q: it follows Q + K (ν νᵀ - S) Kᵀ, which is
     δ δᵀ + P⁺ - Φ P Φᵀ, made positive semidefinite. These are the residual- and innovation-based
     estimates of Mohamed & Schwarz 1999 (after Mehra 1972), averaged over a fading window: each new
-    value has weight 1/window (Akhlaghi, Zhou & Huang 2017). An estimate settles in a few times
+    value has weight 1/window (Akhlaghi, Zhou & Huang 2017). An estimate converges in a few times
     window/g² arrivals, where g = R/S for R and g = H K for Q. With fewer measured coordinates than
-    states the innovations do not determine Q: NIS comes right, single entries of Q may not.
+    states the innovations do not determine Q: NIS becomes consistent, single entries of Q may be
+        wrong.
 
     P⁻ = Υ (α² Φ P⁺ Φᵀ + Q + Q_pseudo dt) Υᵀ: pseudo-noise and Υ from source 002 ("fudge" terms), α
     the fading memory of Sorenson & Sacks 1971.
 
     Cost per step: the EKF's. Choose it where the noise level is unknown or drifts slowly; adapting
-    R and Q together is not well determined, so prefer one. The enlargements are last resorts
-    against overconfidence.
+    R and Q together is not well determined, so prefer one of them. Inflation, fading and
+    pseudo-noise are for overconfidence that has no other remedy.
 
     Attributes:
         model: the filter's model.
         covariance_update: `joseph` only.
-        adapt: what follows the innovations.
-        window: memory, in arrivals; at least 2.
+        adapt: which covariances are estimated.
+        window: length of the memory in arrivals, at least 2.
         inflation: Υ's diagonal, at least 1: a number, a list, or {coordinate pattern: factor}.
         fading: α, at least 1.
         pseudo_noise: diagonal of Q_pseudo, (unit)²/s, like `inflation`.
@@ -105,13 +106,15 @@ class AdaptiveEKF(EKF):
                 f"window is {self.window} arrivals but the run has {arrivals}; shorten it"
             )
 
-    def init(self, mean: Array, cov: Array) -> AdaptiveBelief:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> AdaptiveBelief:
         """Start from mean `(run, nx)` and cov `(run, n, n)` with the model's own noise."""
         start, runs = super().init(mean, cov), len(mean)
         variance = np.full((runs, self.model.output().n), np.nan)
         return AdaptiveBelief(start.mean, start.cov, start.fault, variance, None, np.zeros(runs))
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> AdaptiveBelief:
+    def predict(
+        self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> AdaptiveBelief:
         """x̂⁻ = f(x̂⁺, u), P⁻ = Υ (α² Φ P⁺ Φᵀ + Q + Q_pseudo dt) Υᵀ."""
         prior = cast(AdaptiveBelief, belief)
         mean, F = self.model.transition_jacobian(prior.mean, u, t, dt)
@@ -130,13 +133,13 @@ class AdaptiveEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[AdaptiveBelief, Innovation]:
-        """The EKF's update with the adapted R, then what it teaches about R and Q."""
+        """The update of the EKF with the estimated R, then the new estimates of R and Q."""
         space, output = self.model.space, self.model.output(channels)
         prior = cast(AdaptiveBelief, belief)
         predicted, H = self.model.measurement_jacobian(prior.mean, u, t, channels)
@@ -156,7 +159,7 @@ class AdaptiveEKF(EKF):
             posterior = replace(posterior, variance=variance)
         arrived = np.any(present, axis=-1, keepdims=True)[:, 0]
         if self.adapt in ("Q", "both") and prior.density is not None:
-            # Two updates at one instant: only the first says something about Q.
+            # Of several updates at one instant only the first depends on Q.
             learn = arrived & (prior.elapsed > 0)
             surprise = c.delta[..., None] * c.delta[:, None] - c.reduction
             step = surprise / (self.window * np.where(learn, prior.elapsed, 1.0)[:, None, None])
@@ -166,7 +169,7 @@ class AdaptiveEKF(EKF):
         return replace(posterior, elapsed=elapsed), innovation
 
     def _adapted(self, R: Array, variance: Array) -> Array:
-        """R with the variances learnt so far, its correlations unchanged."""
+        """R with the estimated variances and unchanged correlations."""
         nominal = np.diagonal(R, axis1=-2, axis2=-1)
         scale = np.sqrt(np.where(np.isfinite(variance), variance, nominal) / nominal)
         return R * scale[:, :, None] * scale[:, None, :]
@@ -184,7 +187,7 @@ class AdaptiveEKF(EKF):
 
 
 def _psd(matrices: Array) -> Array:
-    """The nearest positive semidefinite matrices `(run, n, n)`; a failed run stays as it is."""
+    """The nearest positive semidefinite matrices; a failed run is not changed."""
     good = np.isfinite(matrices).all(axis=(-2, -1))
     out = matrices.copy()
     values, vectors = np.linalg.eigh(symmetrize(matrices[good]))

@@ -1,4 +1,4 @@
-"""The Gaussian belief, how a run fails, and the start that the Gaussian filters share."""
+"""The Gaussian belief, the faults of a run, and the start of an estimator."""
 
 import inspect
 from dataclasses import dataclass
@@ -6,16 +6,15 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.protocol import Estimator
-from estbench.shapes import Array
+from estbench.shapes import Array, Faults, Float, Keys, UInt
 from estbench.spaces.manifold import Manifold
 
 
 class Fault(IntEnum):
-    """Why a run stopped being estimated; the value is stored a run, the text is for people."""
+    """Why the estimate of a run failed; the value is stored per run, `text` is for messages."""
 
     NONE = 0
     STATE = 1
@@ -25,7 +24,7 @@ class Fault(IntEnum):
 
     @property
     def text(self) -> str:
-        """What failed, in words."""
+        """Description of the fault."""
         return (
             "",
             "the estimate is not finite",
@@ -37,20 +36,27 @@ class Fault(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A Gaussian belief: mean `(run, nx)`, covariance `(run, n, n)` in the tangent at the mean.
+    """A Gaussian belief.
 
-    A failed run has NaN in both and its `Fault` in `fault` `(run,)`; it stays failed.
+    A failed run has NaN in mean and cov; it stays failed.
+
+    Attributes:
+        mean: x̂.
+        cov: P in the tangent at x̂.
+        fault: `Fault` of each run.
     """
 
-    mean: Array
-    cov: Array
-    fault: NDArray[np.uint8]
+    mean: Float[Array, "run nx"]
+    cov: Float[Array, "run n n"]
+    fault: UInt[Faults, " run"]
 
 
-def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
-    """Refuse a prior that does not fit the state's manifold, where that is known.
+def check_prior(
+    space: Manifold | None, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]
+) -> None:
+    """Refuse a prior that does not fit the manifold of the state, if that is known.
 
-    A covariance that is not positive semidefinite is no mistake here: its run is marked as failed.
+    A covariance that is not positive semidefinite is accepted: its run is marked as failed.
 
     Raises:
         DimensionError: mean is not `(run, nx)`, or cov not `(run, n, n)`.
@@ -64,25 +70,28 @@ def check_prior(space: Manifold | None, mean: Array, cov: Array) -> None:
 
 
 def start(
-    estimator: Estimator, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None
+    estimator: Estimator,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
+    keys: UInt[Keys, " run"] | None = None,
 ) -> Any:
-    """The belief at the start; an estimator that draws random numbers gets a key `(run,)` each."""
+    """The belief at the start; `keys` are passed on if the `init` of the estimator takes them."""
     random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
     return estimator.init(mean, cov, **({"keys": keys} if random else {}))
 
 
 class GaussianEstimator:
-    """Shared by the estimators whose belief is a `Gaussian`: init, mean and cov."""
+    """Base of the estimators whose belief is a `Gaussian`: init, mean and cov."""
 
-    def init(self, mean: Array, cov: Array) -> Gaussian:
-        """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Gaussian:
+        """Start from N(mean, cov)."""
         check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
         return Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
 
-    def mean(self, belief: Gaussian) -> Array:
-        """x̂ `(run, nx)`."""
+    def mean(self, belief: Gaussian) -> Float[Array, "run nx"]:
+        """The estimate x̂."""
         return belief.mean
 
-    def cov(self, belief: Gaussian) -> Array:
-        """P `(run, n, n)`."""
+    def cov(self, belief: Gaussian) -> Float[Array, "run n n"]:
+        """The covariance P."""
         return belief.cov

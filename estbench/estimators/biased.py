@@ -14,28 +14,28 @@ from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.settings import names, table
 from estbench.models.augmented import Augmented
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 PerName = float | Sequence[float] | dict[str, float]
 
 
 @dataclass(frozen=True)
 class BiasFilter(OverFilter):
-    """A Gaussian filter on the model augmented with biases; the answer is the original state's.
+    """A Gaussian filter on the model augmented with biases; mean and cov are of the original state.
 
     Each quantity is a number for all, a list, or {pattern: number} over the measurement coordinates
-    (`inputs`: over the controls `u0`, `u1`, ...); what has no positive std gets no bias, and
+    (`inputs`: over the controls `u0`, `u1`, ...). A coordinate without a positive std has no bias;
     without any bias the filter is the base filter. See `estbench.models.augmented.Augmented`.
 
-    Cost per step: the base filter's. k unknown inputs take the EKF 2 k + 1 transitions and
-    measurements more; every bias or input takes the UKF 2 of each more. Choose it where persistent
+    Cost per step: that of the base filter. k unknown inputs cost the EKF 2 k + 1 more transitions
+    and measurements; every bias or input costs the UKF 2 more of each. Choose it where persistent
     biases are observable; tuning Q does not replace it.
 
     Attributes:
         model: the model without biases.
         bias: std of the biases at the start, in the measurement's unit.
         walk: random walk of the biases, unit per √s.
-        time_constant: s, of Gauss-Markov biases; 0 for constants and random walks.
+        time_constant: correlation time of Gauss-Markov biases, s; 0 for constants and random walks.
         inputs: std of unknown additions to the controls at the start.
         input_walk: their random walk.
         settings: settings of the base filter.
@@ -64,21 +64,21 @@ class BiasFilter(OverFilter):
         object.__setattr__(self, "_augmented", augmented)
         object.__setattr__(self, "_filter", filter)
 
-    def init(self, mean: Array, cov: Array) -> Any:
-        """Start from mean `(run, nx)` and cov `(run, n, n)`, with zero biases."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
+        """Start from N(mean, cov) and zero biases."""
         return self._filter.init(*self._augmented.augment(mean, cov))
 
-    def mean(self, belief: Any) -> Array:
-        """x̂ `(run, nx)` without the biases."""
+    def mean(self, belief: Any) -> Float[Array, "run nx"]:
+        """The estimate x̂, without the biases."""
         return self._filter.mean(belief)[:, : self.model.space.nx]
 
-    def cov(self, belief: Any) -> Array:
-        """P `(run, n, n)` without the biases."""
+    def cov(self, belief: Any) -> Float[Array, "run n n"]:
+        """The covariance P, without the biases."""
         n = self.model.space.n
         return self._filter.cov(belief)[:, :n, :n]
 
-    def biases(self, belief: Any) -> dict[str, tuple[Array, Array]]:
-        """Name -> estimate and standard deviation `(run,)` of each bias and unknown input."""
+    def biases(self, belief: Any) -> dict[str, tuple[Float[Array, " run"], Float[Array, " run"]]]:
+        """Name -> estimate and standard deviation of each bias and unknown input."""
         names = self._augmented.space.names[self.model.space.n :]
         mean = self._filter.mean(belief)[:, self.model.space.nx :]
         variance = np.diagonal(self._filter.cov(belief), axis1=-2, axis2=-1)

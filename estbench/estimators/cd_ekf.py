@@ -12,12 +12,12 @@ from estbench.estimators.ekf import EKF
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import mark_failed
 from estbench.models.continuous import ContinuousModel, integrate_moments, moment_rates
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import symmetrize
 
 MOST_STEPS = 1000
 SHORTEST_STEP = 1e-6
-"""Bounds on `rk45` in one prediction, the second as a part of dt; beyond them a run has failed."""
+"""Bounds of one prediction by `rk45`, the second relative to dt; a run that exceeds them fails."""
 
 
 @dataclass(frozen=True)
@@ -25,18 +25,20 @@ class ContinuousDiscreteEKF(EKF):
     """Continuous-discrete EKF: x̂, Φ and Q̄ integrated together (Bishop, eq. 10-11).
 
     dx̂/dt = f(x̂) + G u, dΦ/dt = F Φ, dQ̄/dt = F Q̄ + Q̄ Fᵀ + Q_s, then P⁻ = Φ P⁺ Φᵀ + Q̄; the update
-    is the EKF's. On a manifold the tangent increment is integrated, from each RK4 substep's start.
+    is that of the EKF. On a manifold the tangent increment from the start of each RK4 substep is
+    integrated.
 
-    Cost per prediction: 4 `substeps` flow Jacobians by RK4, of n + 1 flows each with forward
-    differences; 6 a step and retries by `rk45`. Choose it for a model given by its differential
-    equation and noise density, above all with slow or asynchronous measurements.
+    Cost per prediction: by RK4 4 `substeps` flow Jacobians, each of n + 1 flows with forward
+    differences; by `rk45` 6 per step, and retries. Choose it for a model that is given by its
+    differential equation and noise density, in particular with slow or asynchronous measurements.
 
     Attributes:
         model: a `ContinuousModel`.
         covariance_update: as in `EKF`.
-        method: `rk4`, fixed substeps; or `rk45`, scipy's adaptive Dormand-Prince pair. The runs of
-            a batch share its steps, so a run depends on its companions within the tolerances.
-        substeps: RK4 steps in one prediction.
+        method: `rk4`, fixed substeps; or `rk45`, scipy's adaptive Dormand-Prince pair. All runs
+            of a batch have the same steps, so the result of each run depends on the other runs
+            within the tolerances.
+        substeps: number of RK4 steps in one prediction.
         rtol, atol: tolerances of `rk45`, for each run.
     """
 
@@ -59,7 +61,7 @@ class ContinuousDiscreteEKF(EKF):
                     f"use a continuous model (ContinuousFunctionModel) or the estimator 'ekf'"
                 )
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
+    def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ = x̂(t + dt), P⁻ = Φ P⁺ Φᵀ + Q̄ (Bishop, eq. 11)."""
         if self.method == "rk4":
             mean, Phi, Q = integrate_moments(self.model, belief.mean, u, t, dt, self.substeps)
@@ -71,7 +73,7 @@ class ContinuousDiscreteEKF(EKF):
     def _adaptive(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array, Array]:
         """As `integrate_moments`, by scipy's RK45; NaN for the runs that it cannot integrate.
 
-        One such run stops the whole batch, which is then halved until it stands alone.
+        One such run stops the batch, which is then halved until that run is alone.
         """
         runs, n = len(x), self.model.space.n
         finite = np.isfinite(x).all(axis=-1)

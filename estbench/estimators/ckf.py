@@ -11,11 +11,12 @@ from estbench.estimators.ukf import SigmaPointFilter
 class CKF(SigmaPointFilter):
     """Cubature Kalman filter: the third-degree rule, 2 n points of equal positive weight.
 
-    x̂⁻, P⁻ from the propagated points and Q, then fresh points for ŷ, S and Pxy (Arasaratnam &
-    Haykin 2009, appendix A). It is the UKF with α = 1, β = κ = 0, less the point at the centre.
+    x̂⁻, P⁻ from the propagated points and Q, then new points for ŷ, S and Pxy (Arasaratnam &
+    Haykin 2009, appendix A). It is the UKF with α = 1, β = κ = 0, without the point at the centre.
 
     Cost per step: 2 n transitions and 2 n measurements. Choose it over the UKF in many dimensions:
-    no setting to tune, no negative weight; its points lie sqrt(n) standard deviations out.
+    it has no setting to tune and no negative weight. Its points are sqrt(n) standard deviations
+    from the mean.
 
     Attributes:
         model: the filter's model.

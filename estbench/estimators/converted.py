@@ -1,11 +1,10 @@
-"""Range and bearing converted to Cartesian measurements with their bias removed (source 002)."""
+"""Range and bearing converted to unbiased Cartesian measurements (source 002)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError, did_you_mean
 from estbench.estimators.beliefs import Gaussian
@@ -14,23 +13,23 @@ from estbench.estimators.linear import linear_update
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import names, one_of
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 Form = Literal["decorrelated", "multiplicative", "additive", "standard"]
 FORMS: tuple[Form, ...] = ("decorrelated", "multiplicative", "additive", "standard")
 
 
 def convert_range_bearing(
-    distance: Array,
-    bearing: Array,
+    distance: Float[Array, "*lead"],
+    bearing: Float[Array, "*lead"],
     std_range: Array | float,
     std_bearing: Array | float,
     form: Form = "multiplicative",
-) -> tuple[Array, Array]:
-    """Cartesian z `(..., 2)` and its R `(..., 2, 2)` from ranges and bearings `(...)` alone.
+) -> tuple[Float[Array, "*lead 2"], Float[Array, "*lead 2 2"]]:
+    """Cartesian z and its R from ranges and bearings alone.
 
-    r cos θ is too short on average by λ = exp(-σ²/2), since E cos(θ + w) = λ cos θ. R is that given
-    the measurement, so it moves with the measurement's error (see `predicted_noise`).
+    r cos θ is biased by the factor λ = exp(-σ²/2), since E cos(θ + w) = λ cos θ. R is conditioned
+    on the measurement, so it depends on the error of the measurement (see `predicted_noise`).
 
     Args:
         distance: measured range, m (any unit).
@@ -39,8 +38,8 @@ def convert_range_bearing(
         std_bearing: standard deviation σ of the bearing, rad.
         form: `multiplicative` (and `decorrelated`, which takes another R) divides by λ, unbiased
             for any noise (Longbin et al. 1998); `additive` subtracts the mean error given the
-            measurement (Lerro & Bar-Shalom 1993); `standard` leaves the bias and linearizes R,
-            right for r σ² ≪ std_range only.
+            measurement (Lerro & Bar-Shalom 1993); `standard` keeps the bias and linearizes R,
+            which is valid for r σ² ≪ std_range only.
     """
     s2, r2, v = np.asarray(std_bearing) ** 2, np.asarray(distance) ** 2, np.asarray(std_range) ** 2
     cos, sin = np.cos(bearing), np.sin(bearing)
@@ -76,18 +75,21 @@ def convert_range_bearing(
 
 
 def predicted_noise(
-    position: Array, cov: Array, std_range: Array | float, std_bearing: Array | float
-) -> Array:
-    """R `(..., 2, 2)` of z = r (cos θ, sin θ)/λ over the noise and over the predicted position.
+    position: Float[Array, "*lead 2"],
+    cov: Float[Array, "*lead 2 2"],
+    std_range: Array | float,
+    std_bearing: Array | float,
+) -> Float[Array, "*lead 2 2"]:
+    """R of z = r (cos θ, sin θ)/λ, averaged over the noise and the predicted position.
 
     With M = E p pᵀ: E z zᵀ - M = ½ e^σ² ((tr M + σ_r²) (1 - ε) I + 2 ε (1 + σ_r²/tr M) M) - M,
-    ε = exp(-2 σ²) (decorrelated conversion, Bordonaro, Willett & Bar-Shalom 2014). It knows nothing
-    of the measurement, so the gain and the measurement's error do not correlate: a reading that
-    happens to look near does not count for more. Exact but for the direction in the term of σ_r².
+    ε = exp(-2 σ²) (decorrelated conversion, Bordonaro, Willett & Bar-Shalom 2014). It does not
+    depend on the measurement, so the gain is not correlated with the error of the measurement.
+    Exact except for the direction in the term of σ_r².
 
     Args:
-        position: predicted mean of p, seen from the sensor `(..., 2)`.
-        cov: its covariance `(..., 2, 2)`.
+        position: predicted mean of p, relative to the sensor.
+        cov: covariance of p.
         std_range: standard deviation of the range.
         std_bearing: standard deviation σ of the bearing, rad.
     """
@@ -103,20 +105,20 @@ def predicted_noise(
 class ConvertedEKF(EKF):
     """EKF on converted measurements: range and bearing as one Cartesian reading, bias removed.
 
-    Where both arrive, their two rows become z - p with H selecting the position p; every other
-    measurement, and one of the two alone, is treated as in the EKF. The innovation's two rows are
-    then Cartesian.
+    If both arrive, their two rows become z - p, with H selecting the position p; these rows of the
+    innovation are then Cartesian. Any other measurement, and one of the two alone, is treated as in
+    the EKF.
 
-    Cost per step: the EKF's. Choose it for distant targets with coarse bearings, where the EKF's
-    linearization of the bearing fails first. Range and bearing noise are taken as independent.
+    Cost per step: that of the EKF. Choose it for distant targets with coarse bearings, where the
+    linearization of the bearing is the main error. Range and bearing noise are assumed independent.
 
     Attributes:
         model: the filter's model.
-        covariance_update: used where there is nothing to convert; else Joseph's form.
+        covariance_update: form for measurements that are not converted; else Joseph's form.
         range: name of the measurement coordinate that is the range; None makes it the EKF.
         bearing: name of the bearing, from the x axis towards y, rad.
-        position: names of the two state coordinates that are seen, x and y.
-        origin: where the sensor is.
+        position: names of the state coordinates x and y of the target.
+        origin: position of the sensor.
         form: `decorrelated`, R from the prediction (`predicted_noise`); or R from the measurement
             (`convert_range_bearing`), which over many updates makes the filter overconfident where
             the bearing is coarse.
@@ -161,11 +163,11 @@ class ConvertedEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """The EKF's update, with the two rows replaced where range and bearing arrived."""
         space, output = self.model.space, self.model.output(channels)

@@ -13,35 +13,37 @@ from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import Correction, correct
 from estbench.models.protocol import Channels, Model
 from estbench.randomness import counter as random
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower_transposed, symmetrize
 from estbench.spaces.manifold import Manifold
 
 INITIAL, PROCESS, MEASUREMENT = range(3)
-"""What a random number is for."""
+"""Purposes of the random numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """A belief as equally likely points `(run, size, nx)`; a failed run has NaN and its `Fault`.
+    """A belief as equally likely points; a failed run has NaN and its `Fault`.
 
     Attributes:
-        keys: what the run's random numbers depend on `(run,)`.
-        counter: how many predictions and arrived measurements there have been `(run,)`.
+        points: the ensemble of each run.
+        keys: keys of the random numbers of each run.
+        counter: number of predictions and of measurements that arrived.
+        fault: `Fault` of each run.
     """
 
-    points: Array
+    points: Float[Array, "run size nx"]
     keys: random.Keys
     counter: random.Keys
-    fault: NDArray[np.uint8]
+    fault: UInt[Faults, " run"]
 
 
 @dataclass(frozen=True)
 class EnKF:
-    """Ensemble Kalman filter: moments of points that the model propagates; no Jacobian, no P kept.
+    """Ensemble Kalman filter: the model propagates points; there is no Jacobian and no stored P.
 
     Cost per step: `size` transitions and `size` measurements. Choose it where n is too large for
-    2 n + 1 sigma points, or the belief is bent but still has one peak. The error of P is of order
+    2 n + 1 sigma points, or the belief is not Gaussian but has one peak. The error of P is of order
     sqrt(2/size); below a few times n points P is too small, and `inflation` is the usual remedy.
 
     Attributes:
@@ -49,7 +51,7 @@ class EnKF:
         form: `stochastic` (perturbed observations, Burgers, van Leeuwen & Evensen 1998; the
             perturbations are centred) or `deterministic` (square root with the reduced gain of
             Whitaker & Hamill 2002, eq. 10: R is not sampled).
-        size: count of points, at least 2.
+        size: number of points, at least 2.
         inflation: factor on the deviations after a prediction (Anderson & Anderson 1999).
     """
 
@@ -63,11 +65,16 @@ class EnKF:
         whole(self, "size", 2)
         in_range(self, "inflation", 1.0)
 
-    def init(self, mean: Array, cov: Array, keys: random.Keys | None = None) -> Ensemble:
-        """Points of N(mean, cov); `keys` `(run,)` tell the runs apart (default 0, 1, ...)."""
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Ensemble:
+        """Points drawn from N(mean, cov); `keys`, one per run, default to 0, 1, ..."""
         return _marked(Ensemble(*draw(self.model.space, mean, cov, self.size, keys)))
 
-    def predict(self, belief: Ensemble, u: Array, t: float, dt: float) -> Ensemble:
+    def predict(self, belief: Ensemble, u: Float[Array, "run nu"], t: float, dt: float) -> Ensemble:
         """xᵢ⁻ = f(xᵢ⁺, u) ⊞ wᵢ, wᵢ ~ N(0, Q), then deviations times `inflation`."""
         space, mean = self.model.space, self.mean(belief)
         points = diffuse(self.model, belief, mean, u, t, dt)
@@ -79,13 +86,13 @@ class EnKF:
     def update(
         self,
         belief: Ensemble,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Ensemble, Innovation]:
-        """Every point moved along K = Pxy S⁻¹, in the tangent at the ensemble's mean."""
+        """Correct every point with K = Pxy S⁻¹, in the tangent at the mean of the ensemble."""
         space, output = self.model.space, self.model.output(channels)
         R = np.asarray(self.model.measurement_noise(t, channels))
         images = self.model.measurement(belief.points, u, t, channels)
@@ -114,13 +121,13 @@ class EnKF:
         )
         return _marked(posterior, c.fault), c.innovation
 
-    def mean(self, belief: Ensemble) -> Array:
-        """x̂ `(run, nx)`, the ensemble's mean on the manifold."""
+    def mean(self, belief: Ensemble) -> Float[Array, "run nx"]:
+        """The mean x̂ of the ensemble on the manifold."""
         mean = self._centre(self.model.space, belief.points)
         return np.where(belief.fault[:, None] > 0, np.nan, mean)
 
-    def cov(self, belief: Ensemble) -> Array:
-        """P `(run, n, n)`, the ensemble's covariance (divisor size - 1) in the tangent at x̂."""
+    def cov(self, belief: Ensemble) -> Float[Array, "run n n"]:
+        """The covariance P of the ensemble (divisor size - 1) in the tangent at x̂."""
         deviation = self.model.space.minus(belief.points, self.mean(belief)[:, None])
         return symmetrize(self._cross(deviation, deviation))
 
@@ -133,9 +140,13 @@ class EnKF:
 
 
 def draw(
-    space: Manifold, mean: Array, cov: Array, size: int, keys: random.Keys | None
-) -> tuple[Array, random.Keys, random.Keys, NDArray[np.uint8]]:
-    """Points x̂ ⊞ N(0, P) `(run, size, nx)`, keys, counters and faults (P has no square root)."""
+    space: Manifold,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
+    size: int,
+    keys: random.Keys | None,
+) -> tuple[Float[Array, "run size nx"], random.Keys, random.Keys, UInt[Faults, " run"]]:
+    """Points x̂ ⊞ N(0, P), keys, counters, and faults where P has no square root."""
     check_prior(space, mean, cov)
     keys = random.default_keys(len(mean)) if keys is None else np.asarray(keys, np.uint64)
     if keys.shape != (len(mean),):
@@ -147,8 +158,15 @@ def draw(
     return space.plus(mean[:, None], error), keys, counter, fault
 
 
-def diffuse(model: Model, belief: Any, mean: Array, u: Array, t: float, dt: float) -> Array:
-    """Each point's transition and its own process noise, N(0, Q) with Q at the mean."""
+def diffuse(
+    model: Model,
+    belief: Any,
+    mean: Float[Array, "run nx"],
+    u: Float[Array, "run nu"],
+    t: float,
+    dt: float,
+) -> Float[Array, "run size nx"]:
+    """The transition of each point with process noise drawn from N(0, Q), Q at the mean."""
     points = model.transition(belief.points, u, t, dt)
     Q = np.asarray(model.process_noise(mean, u, t, dt))
     noise = random.gaussian(belief.keys, belief.counter, PROCESS, Q, points.shape[1])

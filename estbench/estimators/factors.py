@@ -1,57 +1,64 @@
-"""Triangular factors of covariances: by QR, by rank-one updates, and beliefs that carry them."""
+"""Triangular factors of covariances, by QR and by rank-one updates, and beliefs made of them."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, Gaussian, check_prior
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import mark_failed
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower
 from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
 class FactorBelief:
-    """A Gaussian belief by a factor: mean `(run, nx)`, lower triangular L `(run, n, n)`, P = L Lᵀ.
+    """A Gaussian belief with a lower triangular factor L of its covariance, P = L Lᵀ.
 
-    A failed run has NaN in both and its `Fault` in `fault` `(run,)`.
+    A failed run has NaN in mean and factor.
+
+    Attributes:
+        mean: x̂.
+        factor: L.
+        fault: `Fault` of each run.
     """
 
-    mean: Array
-    factor: Array
-    fault: NDArray[np.uint8]
+    mean: Float[Array, "run nx"]
+    factor: Float[Array, "run n n"]
+    fault: UInt[Faults, " run"]
 
     @property
-    def cov(self) -> Array:
-        """P = L Lᵀ `(run, n, n)`."""
+    def cov(self) -> Float[Array, "run n n"]:
+        """The covariance P = L Lᵀ."""
         return self.factor @ self.factor.mT
 
 
 class FactorEstimator:
-    """Shared by the square-root filters: init, mean and cov."""
+    """Base of the square-root filters: init, mean and cov."""
 
-    def init(self, mean: Array, cov: Array) -> FactorBelief:
-        """Start from mean `(run, nx)` and cov `(run, n, n)`, which may be semidefinite."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> FactorBelief:
+        """Start from N(mean, cov); cov may be semidefinite."""
         check_prior(getattr(getattr(self, "model", None), "space", None), mean, cov)
         factor = triangular(psd_root(cov))
         return factor_belief(mean, factor, np.zeros(len(mean), np.uint8), lost(factor, cov))
 
-    def mean(self, belief: FactorBelief) -> Array:
-        """x̂ `(run, nx)`."""
+    def mean(self, belief: FactorBelief) -> Float[Array, "run nx"]:
+        """The estimate x̂."""
         return belief.mean
 
-    def cov(self, belief: FactorBelief) -> Array:
-        """P = L Lᵀ `(run, n, n)`."""
+    def cov(self, belief: FactorBelief) -> Float[Array, "run n n"]:
+        """The covariance P = L Lᵀ."""
         return belief.cov
 
 
 def factor_belief(
-    mean: Array, factor: Array, fault: NDArray[np.uint8], new: NDArray[np.uint8] | None = None
+    mean: Float[Array, "run nx"],
+    factor: Float[Array, "run n n"],
+    fault: UInt[Faults, " run"],
+    new: UInt[Faults, " run"] | None = None,
 ) -> FactorBelief:
-    """A belief with every run that is not finite, or has a `new` fault, set to NaN and marked."""
+    """A belief in which every run that is not finite, or has a `new` fault, is marked as failed."""
     checked = mark_failed(Gaussian(mean, factor, fault), new)
     return FactorBelief(checked.mean, checked.cov, checked.fault)
 
@@ -59,38 +66,42 @@ def factor_belief(
 def factor_settle(
     space: Manifold,
     prior: FactorBelief,
-    delta: Array,
-    factor: Array,
-    fault: NDArray[np.uint8] | None = None,
+    delta: Float[Array, "run n"],
+    factor: Float[Array, "run n k"],
+    fault: UInt[Faults, " run"] | None = None,
 ) -> FactorBelief:
-    """The posterior x̂⁻ ⊞ δ with its factor carried to the new tangent, J L, made triangular."""
+    """The posterior x̂⁻ ⊞ δ, its factor J L in the tangent there made triangular."""
     if not space.flat:
         factor = triangular(space.reset_jacobian(delta) @ factor)
     return factor_belief(space.plus(prior.mean, delta), factor, prior.fault, fault)
 
 
-def lost(factor: Array, ingredients: Array, code: Fault = Fault.COVARIANCE) -> NDArray[np.uint8]:
-    """The fault `(run,)` where a factor is not finite although what it was made of is."""
+def lost(
+    factor: Float[Array, "run n n"],
+    ingredients: Float[Array, "run ..."],
+    code: Fault = Fault.COVARIANCE,
+) -> UInt[Faults, " run"]:
+    """The fault `code` where a factor is not finite although its `ingredients` are."""
     failed = ~np.isfinite(factor).all(axis=(-2, -1))
     failed = failed & np.isfinite(ingredients).all(axis=(-2, -1))
     return np.where(failed, code, Fault.NONE).astype(np.uint8)
 
 
-def triangular(root: Array) -> Array:
-    """Lower L `(run, n, n)` with L Lᵀ = A Aᵀ for A `(run, n, k)`, k >= n, by QR of Aᵀ.
+def triangular(root: Float[Array, "run n k"]) -> Float[Array, "run n n"]:
+    """Lower triangular L with L Lᵀ = A Aᵀ, by QR of Aᵀ; A has k >= n columns.
 
-    The diagonal is not negative, so L is the Cholesky factor where A Aᵀ is positive definite.
+    The diagonal is not negative: L is the Cholesky factor if A Aᵀ is positive definite.
     """
     upper = np.linalg.qr(root.mT, mode="r")
     sign = np.where(np.diagonal(upper, axis1=-2, axis2=-1) < 0, -1.0, 1.0)
     return (upper * sign[..., None]).mT
 
 
-def psd_root(a: Array) -> Array:
-    """A square root S with S Sᵀ = A, `(n, n)` or `(run, n, n)`, of semidefinite matrices.
+def psd_root(a: Float[Array, "*lead n n"]) -> Float[Array, "*lead n n"]:
+    """A square root S with S Sᵀ = A of semidefinite matrices.
 
-    Cholesky where there is a factor, else by eigenvalues. NaN where a matrix is not finite or has
-    an eigenvalue below -1e-10 of its largest.
+    The Cholesky factor if it exists, else a root from the eigenvalues. NaN where a matrix is not
+    finite or has an eigenvalue below -1e-10 of its largest.
     """
     stack = a if a.ndim == 3 else a[None]
     out = cholesky(stack)
@@ -103,8 +114,10 @@ def psd_root(a: Array) -> Array:
     return out if a.ndim == 3 else out[0]
 
 
-def noise_root(R: Array, mask: NDArray[np.bool_] | None, runs: int) -> Array:
-    """The Cholesky factor of R `(run, m, m)`, that of the identity where nothing arrived."""
+def noise_root(
+    R: Float[Array, "... m m"], mask: Bool[Mask, "run m"] | None, runs: int
+) -> Float[Array, "run m m"]:
+    """The Cholesky factor of R; rows that did not arrive are those of the identity."""
     if mask is not None:
         R = pad_absent(R, mask)
     lower = cholesky(R if R.ndim == 3 else R[None])
@@ -112,30 +125,34 @@ def noise_root(R: Array, mask: NDArray[np.bool_] | None, runs: int) -> Array:
 
 
 def factor_innovation(
-    residual: Array, root: Array, mask: NDArray[np.bool_] | None = None
+    residual: Float[Array, "run m"],
+    root: Float[Array, "run m m"],
+    mask: Bool[Mask, "run m"] | None = None,
 ) -> Innovation:
-    """ν, S, L⁻¹ ν and NIS from ν `(run, m)`, zero where nothing arrived, and a factor of S."""
+    """The innovation from ν and a factor of S; ν is zero where a component did not arrive."""
     white = solve_lower(root, residual[..., None])[..., 0]
     S = root @ root.mT
     dof = np.full(len(root), root.shape[-1])
     if mask is not None:
-        # QR leaves rounding where the factor of the identity belongs.
+        # QR leaves rounding errors in the rows of the identity.
         white = np.where(mask, white, 0.0)
         S = pad_absent(S, mask)
         dof = mask.sum(axis=-1)
     return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof)
 
 
-def cholesky_update(factor: Array, vector: Array, weight: float = 1.0) -> Array:
-    """The Cholesky factor of L Lᵀ + w v vᵀ, all runs at once; NaN where that is not definite.
+def cholesky_update(
+    factor: Float[Array, "run n n"], vector: Float[Array, "run n"], weight: float = 1.0
+) -> Float[Array, "run n n"]:
+    """The Cholesky factor of L Lᵀ + w v vᵀ; NaN where that is not positive definite.
 
-    Column by column: a plane rotation takes v's component into the diagonal for w > 0 (LINPACK
-    `dchud`), a hyperbolic one in its mixed, stable form for w < 0 (Golub & Van Loan, Matrix
-    Computations, 4th ed., sec. 6.5). n vectorized steps of O(n) each.
+    Column by column: for w > 0 a plane rotation moves the component of v into the diagonal (LINPACK
+    `dchud`), for w < 0 a hyperbolic rotation in its mixed, stable form (Golub & Van Loan, Matrix
+    Computations, 4th ed., sec. 6.5). Cost: n steps of O(n), vectorized over the runs.
 
     Args:
-        factor: L lower triangular `(run, n, n)`.
-        vector: v `(run, n)`.
+        factor: L, lower triangular.
+        vector: v.
         weight: w, of either sign.
     """
     out, x = factor.copy(), np.sqrt(abs(weight)) * vector

@@ -17,13 +17,13 @@ class GHKF(SigmaPointFilter):
     Every Gaussian expectation in x̂⁻, P⁻, ŷ, S, Pxy is a sum over orderⁿ points, exact where the
     integrand is a polynomial of degree 2 order - 1 in each coordinate (Ito & Xiong 2000).
 
-    Cost per step: orderⁿ transitions and orderⁿ measurements. Choose it to learn how much of
-    another filter's error comes from its rule rather than from the Gaussian assumption.
+    Cost per step: orderⁿ transitions and orderⁿ measurements. Choose it to see how much of
+    the error of another filter is due to its rule, not to the Gaussian assumption.
 
     Attributes:
         model: the filter's model.
         redraw: as in `SigmaPointFilter`.
-        order: points a dimension, at least 2.
+        order: points per dimension, at least 2.
 
     Raises:
         EstimatorError: orderⁿ is above 5000.

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
@@ -12,28 +11,29 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, whole
 from estbench.estimators.update import apply_correction, correct
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 
 
 @dataclass(frozen=True)
 class IEKF(EKF):
-    """Iterated EKF: the update repeated about its own result, Gauss-Newton on the posterior mode.
+    """Iterated EKF: the update is repeated at its own result, which is Gauss-Newton for the mode.
 
     It minimizes |x ⊖ x̂⁻|² in P⁻ plus |y ⊖ h(x)|² in R (Bell & Cathey 1993).
-    The error stays in the chart at x̂⁻, xᵢ = x̂⁻ ⊞ δᵢ with δ₀ = 0, and the prior term is kept by
+    The error is written in the tangent at x̂⁻, xᵢ = x̂⁻ ⊞ δᵢ with δ₀ = 0, and the iteration is
     δᵢ₊₁ = Kᵢ (y ⊖ h(xᵢ) + Hᵢ δᵢ), Hᵢ = ∂h(x̂⁻ ⊞ δ)/∂δ at δᵢ. One iteration is the EKF.
 
     Cost per step: n + 1 transitions and up to `iterations` (n + 1) measurements with forward
-    differences. Choose it for a precise, strongly bent measurement (ranges and bearings nearby)
-    and a poor prior. The step is not damped: where h folds, it may leave a run worse than the EKF.
+    differences. Choose it for a precise, strongly nonlinear measurement (range and bearing at short
+    distance) and a poor prior. The step is not damped: where h is not monotonic the result may be
+    worse than that of the EKF.
 
     Attributes:
         model: the filter's model.
         covariance_update: as in `EKF`.
-        iterations: most linearizations of one update.
-        tolerance: a run is done once no coordinate of δ moves by more than this many prior
-            standard deviations; done runs stay untouched while others go on.
+        iterations: maximal number of linearizations of one update.
+        tolerance: a run has converged when no coordinate of δ changes by more than so many prior
+            standard deviations; a converged run is not changed by further iterations.
     """
 
     iterations: int = 5
@@ -47,13 +47,13 @@ class IEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
-        """x̂⁺ = x̂⁻ ⊞ δ; P⁺ by the last linearization; ν, S and NIS are those of the first."""
+        """x̂⁺ = x̂⁻ ⊞ δ; P⁺ from the last linearization; ν, S and NIS from the first."""
         space, output = self.model.space, self.model.output(channels)
         R = self.model.measurement_noise(t, channels)
         P = belief.cov

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
@@ -14,49 +13,50 @@ from estbench.estimators.protocol import Estimator, Innovation
 from estbench.estimators.settings import in_range, table
 from estbench.models.protocol import Channels, Model
 from estbench.models.scaled import ScaledNoise
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, solve_lower, symmetrize
 from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A Gaussian a mode and the modes' probabilities.
+    """The beliefs of the modes and their probabilities.
 
     Attributes:
-        beliefs: one belief of the base filter a mode.
-        probability: μ `(run, mode)`, NaN in a failed run.
-        fault: `Fault` `(run,)`; a run fails when all its modes have.
+        beliefs: one belief of the base filter per mode.
+        probability: μ; NaN in a failed run.
+        fault: `Fault` of each run; a run fails when all its modes have failed.
     """
 
     beliefs: tuple[Any, ...]
-    probability: Array
-    fault: NDArray[np.uint8]
+    probability: Float[Array, "run mode"]
+    fault: UInt[Faults, " run"]
 
 
 @dataclass(frozen=True)
 class IMM:
-    """Interacting multiple models: a bank of filters, the model in force a Markov chain.
+    """Interacting multiple models: a bank of filters; the active model is a Markov chain.
 
     Before each prediction the modes' Gaussians are mixed by their probabilities (eq. 11.6.6-7 to
     -10), after each update the probabilities weighted by the likelihoods (eq. 11.6.6-14, -15). The
     answer is the moment-matched Gaussian (eq. 11.6.6-16, -17), all on the state's manifold.
 
-    Cost per step: that of the base filter times the count of modes. Choose it where the robot
-    behaves in a few distinct ways (a manoeuvre, a slipping wheel, a degraded actuator).
+    Cost per step: that of the base filter times the number of modes. Choose it where the robot
+    has a few distinct modes of operation (a manoeuvre, a slipping wheel, a degraded actuator).
 
-    A mode that fails in a run gets probability zero and is started again by the next mixing.
+    A mode that fails gets probability zero in that run; the next mixing starts it again.
 
     Attributes:
-        model: the model that the modes are made of, and whose state is estimated.
+        model: the model from which the modes are derived, and whose state is estimated.
         models: the modes' models on the same state space; by default the one model for all. In a
             scenario a list of tables, each what that mode changes of the filter's model, like
             `filter.set`.
         transition: probability of going from mode i to mode j at a prediction `(mode, mode)`; rows
             sum to one. By default `switching` decides.
         base: registered name (or `package.module:Name`) of the filter in each mode.
-        process_noise_scales: factors on Q, one a mode; default 1 and 100, with `models` all 1.
-        switching: probability of leaving a mode at a prediction, the others being equally likely.
+        process_noise_scales: factors on Q, one per mode; default 1 and 100, with `models` all 1.
+        switching: probability of leaving a mode at a prediction; the other modes are equally
+            likely.
         settings: settings of the base filter.
     """
 
@@ -77,14 +77,14 @@ class IMM:
         object.__setattr__(self, "_filters", filters)
         object.__setattr__(self, "_chain", self._markov_chain(len(filters)))
 
-    def init(self, mean: Array, cov: Array) -> Modes:
-        """Every mode starts from mean `(run, nx)` and cov `(run, n, n)`, all equally likely."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Modes:
+        """Start every mode from N(mean, cov), with equal probabilities."""
         count = len(self._filters)
         beliefs = tuple(f.init(mean, cov) for f in self._filters)
         probability = np.full((len(mean), count), 1.0 / count)
         return self._settled(Modes(beliefs, probability, np.zeros(len(mean), np.uint8)))
 
-    def predict(self, belief: Modes, u: Array, t: float, dt: float) -> Modes:
+    def predict(self, belief: Modes, u: Float[Array, "run nu"], t: float, dt: float) -> Modes:
         """Mix the modes, then predict each by its model."""
         means, covs = self._moments(belief)
         joint = belief.probability[:, :, None] * self._chain  # P(was i, is j)
@@ -101,11 +101,11 @@ class IMM:
     def update(
         self,
         belief: Modes,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Modes, Innovation]:
         """Update each mode, then weight it by its likelihood N(ν; 0, S).
 
@@ -130,12 +130,12 @@ class IMM:
         prior = np.where(total > 0, prior / np.where(total > 0, total, 1.0), np.nan)
         return self._settled(posterior), _mixed_innovation(innovations, prior)
 
-    def mean(self, belief: Modes) -> Array:
-        """x̂ `(run, nx)`, the mean of the mixture."""
+    def mean(self, belief: Modes) -> Float[Array, "run nx"]:
+        """The mean x̂ of the mixture."""
         return combine(self.model.space, *self._moments(belief), belief.probability)[0]
 
-    def cov(self, belief: Modes) -> Array:
-        """P `(run, n, n)`, the covariance of the mixture."""
+    def cov(self, belief: Modes) -> Float[Array, "run n n"]:
+        """The covariance P of the mixture."""
         return combine(self.model.space, *self._moments(belief), belief.probability)[1]
 
     def _moments(self, belief: Modes) -> tuple[Array, Array]:
@@ -209,7 +209,12 @@ class IMM:
         return chain
 
 
-def combine(space: Manifold, means: Array, covs: Array, weight: Array) -> tuple[Array, Array]:
+def combine(
+    space: Manifold,
+    means: Float[Array, "run mode nx"],
+    covs: Float[Array, "run mode n n"],
+    weight: Float[Array, "run mode"],
+) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
     """Mean `(run, nx)` and covariance `(run, n, n)` of a Gaussian mixture on a manifold.
 
     A component of weight zero counts for nothing, even if it is not finite.
@@ -232,8 +237,8 @@ def combine(space: Manifold, means: Array, covs: Array, weight: Array) -> tuple[
     return mean, symmetrize((weight[..., None, None] * spread).sum(axis=1))
 
 
-def log_likelihood(innovation: Innovation) -> Array:
-    """Log N(ν; 0, S) `(run,)`; what did not arrive has unit variance and counts for nothing."""
+def log_likelihood(innovation: Innovation) -> Float[Array, " run"]:
+    """Log N(ν; 0, S); a component that did not arrive has unit variance and contributes nothing."""
     diagonal = np.diagonal(cholesky(innovation.cov), axis1=-2, axis2=-1)
     constant = innovation.dof * np.log(2.0 * np.pi)
     return -0.5 * (innovation.nis + constant) - np.log(diagonal).sum(axis=-1)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
@@ -13,22 +12,22 @@ from estbench.estimators.linear import linear_update
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
 class FixedBelief(Gaussian):
-    """A Gaussian with the operating point it is linearized about.
+    """A Gaussian with the operating point of the linearization.
 
     Attributes:
-        point: x₀ `(run, nx)`, the initial mean of each run.
-        jacobians: F of each dt and H of each set of channels met so far, `(run, ., n)`; a new one
-            makes a new mapping, none is changed in place.
+        point: x₀, the initial mean of each run.
+        jacobians: F for each dt and H for each set of channels that have occurred, `(run, ., n)`.
+            The mapping is not changed in place.
     """
 
-    point: Array
+    point: Float[Array, "#run nx"]
     jacobians: Mapping[Hashable, Array]
 
 
@@ -36,18 +35,18 @@ class FixedBelief(Gaussian):
 class KF(GaussianEstimator):
     """Kalman filter with feedthrough about one operating point; exact for a linear model.
 
-    x̂⁻ = f(x₀, u) ⊞ F (x̂⁺ ⊖ x₀) and ŷ = h(x₀, u) ⊞ H (x̂⁻ ⊖ x₀), with F and H taken once at the
+    x̂⁻ = f(x₀, u) ⊞ F (x̂⁺ ⊖ x₀) and ŷ = h(x₀, u) ⊞ H (x̂⁻ ⊖ x₀), with F and H computed once at the
     operating point x₀, u₀. For a linear model these are A x̂ + B u and C x̂ + D u, A and C constant
     (source 003, eq. 2-3). The control enters through f and h themselves, so no B or D is needed.
 
-    Cost per step: one transition and one measurement a run, besides what Q asks; n + 1 of each at
-    the first step with forward differences. Choose it for a linear model, or for a robot regulated
-    about its initial state, as the cheapest filter there is.
+    Cost per step: one transition and one measurement, and the cost of Q; n + 1 of each in the first
+    step with forward differences. Choose it for a linear model, or for a robot that is regulated to
+    its initial state. It is the cheapest filter.
 
     Attributes:
         model: the filter's model.
-        u0: control of the operating point `(nu,)`; by default the model's own `u0` (a MuJoCo
-            model's keyframe control), else zeros.
+        u0: control of the operating point `(nu,)`; default: `u0` of the model (for a MuJoCo model
+            the control of the keyframe), else zeros.
     """
 
     model: Model
@@ -62,12 +61,14 @@ class KF(GaussianEstimator):
             )
         object.__setattr__(self, "u0", tuple(u0.tolist()))
 
-    def init(self, mean: Array, cov: Array) -> FixedBelief:
-        """Start from mean `(run, nx)`, which is also the operating point, and cov `(run, n, n)`."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> FixedBelief:
+        """Start from N(mean, cov); the mean is also the operating point."""
         start = super().init(mean, cov)
         return FixedBelief(start.mean, start.cov, start.fault, start.mean, {})
 
-    def predict(self, belief: FixedBelief, u: Array, t: float, dt: float) -> FixedBelief:
+    def predict(
+        self, belief: FixedBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> FixedBelief:
         """x̂⁻ and P⁻ = F P⁺ Fᵀ + Q (source 003, eq. 2)."""
         model, point, key = self.model, belief.point, f"{dt:.9g}"
         if key not in belief.jacobians:
@@ -84,11 +85,11 @@ class KF(GaussianEstimator):
     def update(
         self,
         belief: FixedBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FixedBelief, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ) (source 003, eq. 3-4), the covariance in Joseph's form."""
         model, point = self.model, belief.point
@@ -108,20 +109,25 @@ class KF(GaussianEstimator):
 
 
 def tangent_map(
-    source: Manifold, target: Manifold, x: Array, point: Array, image: Array, slope: Array
-) -> tuple[Array, Array]:
-    """A function replaced by its tangent at a point: image ⊞ M (x ⊖ point), and its Jacobian at x.
+    source: Manifold,
+    target: Manifold,
+    x: Float[Array, "run nx"],
+    point: Float[Array, "run nx"],
+    image: Float[Array, "run ny"],
+    slope: Float[Array, "run m n"],
+) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
+    """A function linearized at a point, image ⊞ M (x ⊖ point), and its Jacobian at x.
 
-    On a curved space M acts between the tangents at the point and at its image; the Jacobian acts
-    between those at x and at the value: J(M δ) M J(δ)⁻¹ with the reset Jacobian J, δ = x ⊖ point.
+    On a curved space M maps the tangent at the point to that at its image. The Jacobian maps the
+    tangent at x to that at the value: J(M δ) M J(δ)⁻¹ with the reset Jacobian J, δ = x ⊖ point.
 
     Args:
         source: space of x.
         target: space of the value.
-        x: where it is evaluated `(run, nx)`.
-        point: where the slope was taken `(run, nx)`.
-        image: the function at the point `(run, ny)`.
-        slope: M `(run, m, n)`.
+        x: where the linearized function is evaluated.
+        point: point of the linearization.
+        image: the function at the point.
+        slope: M, the Jacobian at the point.
     """
     inward = source.minus(x, point)
     outward = (slope @ inward[..., None])[..., 0]

@@ -1,14 +1,13 @@
-"""The update of the linear family: gain by Cholesky, the covariance in one of three forms."""
+"""The update of the linear filters: gain by Cholesky, the covariance in one of three forms."""
 
 from typing import Literal, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import Correction, apply_correction, correct
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import identity, pad_absent, symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -20,10 +19,10 @@ FORMS = ("joseph", "simplified", "symmetric")
 def linear_update(
     space: Manifold,
     belief: Belief,
-    residual: Array,
-    H: Array,
-    R: Array,
-    mask: NDArray[np.bool_] | None = None,
+    residual: Float[Array, "run m"],
+    H: Float[Array, "run m n"],
+    R: Float[Array, "... m m"],
+    mask: Bool[Mask, "run m"] | None = None,
     form: Form = "joseph",
 ) -> tuple[Belief, Innovation]:
     """Condition on ν = H e + v: K = P Hᵀ S⁻¹ (Bishop, eq. 20), x̂⁺ = x̂⁻ ⊞ K ν (eq. 17).
@@ -31,11 +30,11 @@ def linear_update(
     Args:
         space: the state space.
         belief: the prior.
-        residual: ν `(run, m)`.
-        H: `(run, m, n)`.
-        R: `(run, m, m)` or `(m, m)`.
-        mask: `(run, m)`, True where a component arrived.
-        form: of the covariance, see `posterior_cov`.
+        residual: ν.
+        H: measurement Jacobian.
+        R: measurement noise covariance; one, or one per run.
+        mask: True where a component arrived; None if all did.
+        form: form of the covariance, see `posterior_cov`.
     """
     PHt = belief.cov @ H.mT
     c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
@@ -43,8 +42,14 @@ def linear_update(
     return cast(Belief, apply_correction(space, belief, c.delta, cov, c.fault)), c.innovation
 
 
-def posterior_cov(form: Form, P: Array, c: Correction, H: Array, R: Array) -> Array:
-    """P⁺ `(run, n, n)` in the tangent at x̂⁻, to be symmetrized.
+def posterior_cov(
+    form: Form,
+    P: Float[Array, "run n n"],
+    c: Correction,
+    H: Float[Array, "run m n"],
+    R: Float[Array, "... m m"],
+) -> Float[Array, "run n n"]:
+    """P⁺ in the tangent at x̂⁻; the caller symmetrizes it.
 
     `joseph` is (I - K H) P (I - K H)ᵀ + K R Kᵀ (Bishop, eq. 19) and keeps P positive definite under
     rounding; `simplified` is (I - K H) P (eq. 21), `symmetric` P - K S Kᵀ (source 003, eq. 8).
@@ -56,8 +61,13 @@ def posterior_cov(form: Form, P: Array, c: Correction, H: Array, R: Array) -> Ar
     return joseph(P, c.gain, H, R)
 
 
-def joseph(P: Array, K: Array, H: Array, R: Array) -> Array:
-    """(I - K H) P (I - K H)ᵀ + K R Kᵀ `(run, n, n)`, right for any gain K (Bishop, eq. 19).
+def joseph(
+    P: Float[Array, "run n n"],
+    K: Float[Array, "run n m"],
+    H: Float[Array, "run m n"],
+    R: Float[Array, "... m m"],
+) -> Float[Array, "run n n"]:
+    """(I - K H) P (I - K H)ᵀ + K R Kᵀ, which holds for any gain K (Bishop, eq. 19).
 
     A component that did not arrive has a zero column in K, so H and R need no mask.
     """
@@ -66,15 +76,20 @@ def joseph(P: Array, K: Array, H: Array, R: Array) -> Array:
 
 
 def without_absent(
-    residual: Array, H: Array, R: Array, mask: NDArray[np.bool_] | None
-) -> tuple[Array, Array, Array]:
-    """ν, H and R in which what did not arrive predicts zero, reads zero and has noise of its own.
+    residual: Float[Array, "run m"],
+    H: Float[Array, "run m n"],
+    R: Float[Array, "... m m"],
+    mask: Bool[Mask, "run m"] | None,
+) -> tuple[Float[Array, "run m"], Float[Array, "run m n"], Float[Array, "... m m"]]:
+    """ν, H and R without the components that did not arrive.
+
+    Such a component gets a zero residual, a zero row of H, and independent noise of variance 1.
 
     Args:
-        residual: ν `(run, m)`.
-        H: `(run, m, n)`.
-        R: `(run, m, m)`.
-        mask: `(run, m)`, True where a component arrived; None means everywhere.
+        residual: ν.
+        H: measurement Jacobian.
+        R: measurement noise covariance.
+        mask: True where a component arrived; None if all did.
     """
     if mask is None or mask.all():
         return residual, H, R

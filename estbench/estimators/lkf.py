@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.kf import tangent_map
@@ -13,41 +12,41 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import quadratic_form, symmetrize
 
 
 @dataclass(frozen=True, eq=False)
 class NominalBelief(Gaussian):
-    """A Gaussian with the nominal state it is linearized about; the deviation is x̂ ⊖ x*.
+    """A Gaussian with the nominal state of the linearization; the deviation is x̂ ⊖ x*.
 
     Attributes:
-        nominal: x* `(run, nx)`.
-        handed: whether the run has been handed over to the EKF `(run,)`.
+        nominal: x*.
+        handed: whether the run has been handed over to the EKF.
     """
 
-    nominal: Array
-    handed: NDArray[np.bool_]
+    nominal: Float[Array, "run nx"]
+    handed: Bool[Mask, " run"]
 
 
 @dataclass(frozen=True)
 class LKF(GaussianEstimator):
-    """Linearized KF: the deviation from a nominal trajectory; hands over to the EKF if asked.
+    """Linearized KF: estimates the deviation from a nominal trajectory; may hand over to the EKF.
 
     The nominal x* starts at the initial mean and follows the model under the same controls without
     noise. Both mean and covariance use the linearization about it (source 002, "linearized KF"):
     x̂⁻ = f(x*, u) ⊞ Φ (x̂⁺ ⊖ x*), ŷ = h(x*, u) ⊞ H (x̂⁻ ⊖ x*). The gains do not depend on the
-    measurements. A run that is handed over takes x* = x̂ from then on, which is the EKF.
+    measurements. After the hand-over of a run x* = x̂, which is the EKF.
 
-    Cost per step: n + 1 transitions and n + 1 measurements a run with forward differences. Choose
-    it where the robot follows its nominal closely, or to start an EKF safely through the transient
-    of a bad initial estimate.
+    Cost per step: n + 1 transitions and n + 1 measurements with forward differences. Choose it
+    where the robot stays close to its nominal trajectory, or to start an EKF from a poor initial
+    estimate.
 
     Attributes:
         model: the filter's model.
         handover_time: time from which every run is an EKF, s; None for never.
-        handover_sigma: a run becomes an EKF once sqrt(δᵀ P⁻¹ δ) of its deviation δ = x̂ ⊖ x*
-            exceeds this; None for never.
+        handover_sigma: bound on sqrt(δᵀ P⁻¹ δ), with the deviation δ = x̂ ⊖ x*; a run that exceeds
+            it is an EKF from then on. None for never.
     """
 
     model: Model
@@ -60,15 +59,17 @@ class LKF(GaussianEstimator):
         if self.handover_sigma is not None:
             in_range(self, "handover_sigma", 0.0)
 
-    def init(self, mean: Array, cov: Array) -> NominalBelief:
-        """Start from mean `(run, nx)`, which is also the nominal state, and cov `(run, n, n)`."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> NominalBelief:
+        """Start from N(mean, cov); the mean is also the nominal state."""
         start = super().init(mean, cov)
         return NominalBelief(
             start.mean, start.cov, start.fault, start.mean, np.zeros(len(mean), bool)
         )
 
-    def predict(self, belief: NominalBelief, u: Array, t: float, dt: float) -> NominalBelief:
-        """Move the nominal, x̂⁻ and P⁻ = Φ P⁺ Φᵀ + Q, with Φ and Q at x*."""
+    def predict(
+        self, belief: NominalBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> NominalBelief:
+        """Propagate x*, x̂⁻ and P⁻ = Φ P⁺ Φᵀ + Q, with Φ and Q at x*."""
         model, belief = self.model, self._handed_over(belief, t)
         nominal, slope = model.transition_jacobian(belief.nominal, u, t, dt)
         mean, F = tangent_map(model.space, model.space, belief.mean, belief.nominal, nominal, slope)
@@ -81,13 +82,13 @@ class LKF(GaussianEstimator):
     def update(
         self,
         belief: NominalBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[NominalBelief, Innovation]:
-        """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ), K from H at x*; the nominal stays."""
+        """x̂⁺ = x̂⁻ ⊞ K (y ⊖ ŷ), K from H at x*; x* does not change."""
         model, belief = self.model, self._handed_over(belief, t)
         output = model.output(channels)
         image, slope = model.measurement_jacobian(belief.nominal, u, t, channels)
@@ -96,7 +97,7 @@ class LKF(GaussianEstimator):
         return linear_update(model.space, belief, output.minus(y, predicted), H, R, mask)
 
     def _handed_over(self, belief: NominalBelief, t: float) -> NominalBelief:
-        """Mark the runs that are due and set the nominal of all handed runs to their estimate."""
+        """Hand over the runs that are due; x* of every run handed over is set to x̂."""
         handed = belief.handed
         if self.handover_time is not None and t >= self.handover_time - 1e-9:
             handed = np.ones_like(handed)

@@ -1,32 +1,29 @@
-"""What an estimator shares that leaves prediction and update to a filter of its own."""
+"""Base of the estimators that delegate prediction and update to another filter."""
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.estimators.protocol import Estimator, Innovation
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 
 class OverFilter:
-    """Predicts and updates as its `_filter` does; a belief is that filter's."""
+    """Delegates prediction and update to `_filter`; the belief is that of this filter."""
 
     _filter: Estimator
 
-    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
-        """The filter's prediction."""
+    def predict(self, belief: Any, u: Float[Array, "run nu"], t: float, dt: float) -> Any:
+        """The prediction of the filter."""
         return self._filter.predict(belief, u, t, dt)
 
     def update(
         self,
         belief: Any,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Any, Innovation]:
-        """The filter's update."""
+        """The update of the filter."""
         return self._filter.update(belief, y, u, t, channels, mask)

@@ -12,40 +12,40 @@ from estbench.estimators.settings import in_range, whole
 from estbench.estimators.update import correct
 from estbench.models.protocol import Channels, Model
 from estbench.randomness import counter as random
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Keys, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, symmetrize
 from estbench.spaces.manifold import Manifold
 
 RESAMPLING, KERNEL = 3, 4
-"""Further purposes of random numbers."""
+"""Further purposes of the random numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Particles(Ensemble):
-    """Weighted points; `log_weights` `(run, particle)` are normalized, -inf for a dead particle."""
+    """Weighted points; `log_weights` are normalized, and -inf for a dead particle."""
 
-    log_weights: Array
+    log_weights: Float[Array, "run size"]
 
 
 @dataclass(frozen=True)
 class ParticleFilter:
-    """Bootstrap particle filter: any belief, by points moved by the model, weighted by likelihood.
+    """Bootstrap particle filter: the model propagates points, the likelihood weights them.
 
     Cost per step: `size` transitions and `size` measurements. Choose it where the belief has
-    several peaks or hard limits; the count needed grows exponentially with the dimension that the
-    measurements pin down, so above n = 6 or so prefer a Gaussian filter or the EnKF.
+    several peaks or hard limits. The number of particles needed grows exponentially with the
+    dimension that is measured, so above n = 6 or so prefer a Gaussian filter or the EnKF.
 
-    A particle that the model cannot move (NaN) dies; a run fails when all its particles are dead.
+    A particle whose transition is NaN is dead; a run fails when all its particles are dead.
 
     Attributes:
         model: the filter's model. Q is taken at the mean of the particles.
-        size: count of particles, at least 2.
+        size: number of particles, at least 2.
         threshold: resample (systematic, Kitagawa 1996) when the effective sample size
             1/Σ w² is below this share of `size`; 0 never, 1 always.
         regularization: after resampling, spread the particles by a Gaussian kernel of this many
             times the optimal bandwidth (Silverman 1986, sec. 4.3; Musso, Oudjane & Le Gland 2001),
-            shrunk towards their mean so that mean and covariance are kept (Liu & West 2001).
-            0 is off; 0.5 to 1 keeps particles distinct when Q is small.
+            and shrink them towards their mean, which preserves mean and covariance (Liu & West
+            2001). 0 is off; 0.5 to 1 keeps particles distinct when Q is small.
     """
 
     model: Model
@@ -58,12 +58,19 @@ class ParticleFilter:
         in_range(self, "threshold", 0.0, 1.0)
         in_range(self, "regularization", 0.0)
 
-    def init(self, mean: Array, cov: Array, keys: random.Keys | None = None) -> Particles:
-        """Particles of N(mean, cov); `keys` `(run,)` tell the runs apart (default 0, 1, ...)."""
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Particles:
+        """Particles drawn from N(mean, cov); `keys`, one per run, default to 0, 1, ..."""
         start = draw(self.model.space, mean, cov, self.size, keys)
         return _settled(Particles(*start, np.full((len(mean), self.size), -np.log(self.size))))
 
-    def predict(self, belief: Particles, u: Array, t: float, dt: float) -> Particles:
+    def predict(
+        self, belief: Particles, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Particles:
         """xᵢ⁻ = f(xᵢ⁺, u) ⊞ wᵢ, wᵢ ~ N(0, Q)."""
         points = diffuse(self.model, belief, self.mean(belief), u, t, dt)
         return _settled(replace(belief, points=points, counter=belief.counter + np.uint64(1)))
@@ -71,11 +78,11 @@ class ParticleFilter:
     def update(
         self,
         belief: Particles,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Particles, Innovation]:
         """Adds log N(y ⊖ h(xᵢ); 0, R) to log wᵢ, then resamples where it is due.
 
@@ -105,13 +112,13 @@ class ParticleFilter:
         weighted = replace(weighted, log_weights=logs)
         return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), c.innovation
 
-    def mean(self, belief: Particles) -> Array:
-        """x̂ `(run, nx)`, the particles' weighted mean on the manifold."""
+    def mean(self, belief: Particles) -> Float[Array, "run nx"]:
+        """The weighted mean x̂ of the particles on the manifold."""
         mean = self.model.space.mean(belief.points, _weights(belief))
         return np.where(belief.fault[:, None] > 0, np.nan, mean)
 
-    def cov(self, belief: Particles) -> Array:
-        """P `(run, n, n)`, the particles' weighted covariance in the tangent at x̂."""
+    def cov(self, belief: Particles) -> Float[Array, "run n n"]:
+        """The weighted covariance P of the particles in the tangent at x̂."""
         return _covariance(self.model.space, belief, self.mean(belief))
 
     def _resampled(self, belief: Particles, arrived: NDArray[np.bool_]) -> Particles:
@@ -143,15 +150,17 @@ class ParticleFilter:
         return space.plus(mean[:, None], kept + noise)
 
 
-def systematic(weights: Array, start: Array) -> NDArray[np.intp]:
-    """Indices `(run, particle)` of the offspring: those where a comb of spacing 1/N falls.
+def systematic(
+    weights: Float[Array, "run point"], start: Array
+) -> Int[NDArray[np.intp], "run point"]:
+    """Systematic resampling: the index of the particle that each new particle is a copy of.
 
-    Arulampalam et al. 2002, alg. 2; all runs at once by counting the comb's teeth below each
-    cumulative weight.
+    Arulampalam et al. 2002, alg. 2: N equidistant points in [0, 1] are located among the cumulative
+    weights, for all runs at once.
 
     Args:
-        weights: `(run, particle)`.
-        start: where the comb begins, `(run, 1)` in (0, 1), in units of its spacing.
+        weights: weights of the particles.
+        start: first of the equidistant points `(run, 1)`, as a fraction of their distance.
     """
     runs, size = weights.shape
     total = np.cumsum(weights, axis=-1)
@@ -186,7 +195,7 @@ def _best(belief: Particles, values: Array, dead: NDArray[np.bool_]) -> Array:
 
 
 def _settled(belief: Particles) -> Particles:
-    """Weights normalized, dead particles parked at a live one, runs without any marked."""
+    """Normalize the weights, move dead particles to a live one, mark runs without a live one."""
     dead = _unfinite(belief.points)
     logs = np.where(dead, -np.inf, belief.log_weights)
     points = belief.points

@@ -1,71 +1,74 @@
-"""What an estimator is asked for, what it answers, and what a smoother looks back on."""
+"""The protocols of estimators and smoothers, and the values that they take and return."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """What a measurement said: ν and S `(run, m)`, `(run, m, m)`.
+    """The innovation of one measurement.
 
     Attributes:
-        residual: ν = y ⊖ ŷ; zero where nothing arrived.
-        cov: S.
-        white: L⁻¹ ν with S = L Lᵀ, standard normal for a consistent filter `(run, m)`.
-        nis: νᵀ S⁻¹ ν `(run,)`.
-        dof: how many components arrived `(run,)`.
+        residual: ν = y ⊖ ŷ; zero where a component did not arrive.
+        cov: S, the covariance of ν.
+        white: L⁻¹ ν with S = L Lᵀ; standard normal for a consistent filter.
+        nis: νᵀ S⁻¹ ν.
+        dof: number of components that arrived.
     """
 
-    residual: Array
-    cov: Array
-    white: Array
-    nis: Array
-    dof: NDArray[np.int64]
+    residual: Float[Array, "run m"]
+    cov: Float[Array, "... m m"]
+    white: Float[Array, "run m"]
+    nis: Float[Array, " run"]
+    dof: Int[Ints, " run"]
 
 
 @runtime_checkable
 class Estimator(Protocol):
-    """The methods an estimator of any family has; no base class is needed.
+    """The methods of an estimator; no base class is needed.
 
     It is built as `Class(model, **settings)`. Methods are pure: they return new beliefs.
     """
 
-    def init(self, mean: Array, cov: Array) -> Any:
-        """The belief at the start from mean `(run, nx)` and covariance `(run, n, n)`."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
+        """The belief at the start, N(mean, cov)."""
         ...
 
-    def predict(self, belief: Any, u: Array, t: float, dt: float) -> Any:
-        """The belief at t + dt, given the belief at t and the control `(run, nu)` held between."""
+    def predict(self, belief: Any, u: Float[Array, "run nu"], t: float, dt: float) -> Any:
+        """The belief at t + dt from that at t, under the control u, constant in between."""
         ...
 
     def update(
         self,
         belief: Any,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Any, Innovation]:
-        """The belief given the measurement y `(run, ny)` of `channels` at t.
+        """The belief given the measurement y of `channels` at t.
 
-        `mask` `(run, m)` is True where a component has arrived; None means everywhere.
+        Args:
+            belief: the prior.
+            y: the measurement.
+            u: the control at t.
+            t: time, s.
+            channels: names of the channels that y consists of; None for all.
+            mask: True where a component of y has arrived; None if all have.
         """
         ...
 
-    def mean(self, belief: Any) -> Array:
-        """x̂ `(run, nx)`."""
+    def mean(self, belief: Any) -> Float[Array, "run nx"]:
+        """The estimate x̂."""
         ...
 
-    def cov(self, belief: Any) -> Array:
-        """P `(run, n, n)` in the tangent at x̂."""
+    def cov(self, belief: Any) -> Float[Array, "run n n"]:
+        """The covariance P in the tangent at x̂."""
         ...
 
 
@@ -89,17 +92,17 @@ class ScheduleCheck(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What arrived at one instant: y `(run, ny)` under u `(run, nu)`, as in `update`."""
+    """One measurement, with the arguments of `Estimator.update`."""
 
-    y: Array
-    u: Array
+    y: Float[Array, "run ny"]
+    u: Float[Array, "run nu"]
     channels: Channels = None
-    mask: NDArray[np.bool_] | None = None
+    mask: Bool[Mask, "run m"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class FilterHistory:
-    """A filter's whole way through some runs, for a smoother to look back on.
+    """The beliefs, controls and measurements of a filter over complete runs, for a smoother.
 
     Attributes:
         beliefs: K + 1, the first at the start, the others after the updates.

@@ -1,4 +1,4 @@
-"""EKF that withstands outliers: gated, with Huber's loss, or with Student-t measurement noise."""
+"""EKF for measurements with outliers: gates, Huber's loss, or Student-t measurement noise."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,32 +14,32 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import correct, mark_failed
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import cholesky, solve_lower, symmetrize
 
 
 @dataclass(frozen=True)
 class RobustEKF(EKF):
-    """Robust EKF: an outlier moves its update little or not at all (gates, Huber, Student-t).
+    """Robust EKF: an outlier has little or no effect on the update (gates, Huber, Student-t).
 
-    Cost per step: the EKF's evaluations; the iterations are small matrices only. Choose it where
-    sensors glitch. Gates are for gross errors, but a filter that has diverged gates everything out;
-    `huber` keeps a bounded influence; `student_t` is for noise that is heavy-tailed all the time.
-    The innovation returned is the one before any of this, so that NIS shows the outliers.
+    Cost per step: the evaluations of the EKF; the iterations involve small matrices only. Choose it
+    where readings have outliers. Gates are for gross errors, but a filter that has diverged rejects
+    every reading. `huber` bounds the influence of a reading. `student_t` is for noise with heavy
+    tails. The innovation is the one before gating or reweighting, so that NIS shows the outliers.
 
     Attributes:
         model: the filter's model.
         covariance_update: `joseph` only.
-        method: `gate_components` leaves out a component when ν²/S exceeds the chi-square quantile,
+        method: `gate_components` rejects a component when ν²/S exceeds the chi-square quantile,
             `gate` the whole measurement when NIS does (Bar-Shalom, Li & Kirubarajan 2001);
             `huber` minimizes the prior's square and Huber's loss of the measurement's
             whitened residuals (Huber 1964; Karlgaard & Schaub 2007), by reweighting; `student_t` is
-            variational Bayes with one random scale of R a measurement (Piché, Särkkä & Hartikainen
-            2012).
+            variational Bayes with one random scale of R per measurement (Piché, Särkkä &
+            Hartikainen 2012).
         gate: probability that a good measurement passes the gate.
         threshold: where Huber's loss turns from square to linear, in standard deviations of R.
         degrees: degrees of freedom of Student's t, whose scale matrix R is.
-        iterations: reweightings.
+        iterations: number of reweightings.
     """
 
     method: Literal["gate_components", "gate", "huber", "student_t"] = "gate_components"
@@ -60,11 +60,11 @@ class RobustEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """The EKF's update with gated components, or with R enlarged for large residuals."""
         space, output = self.model.space, self.model.output(channels)
@@ -84,7 +84,7 @@ class RobustEKF(EKF):
         return linear_update(space, belief, residual, H, R, mask)[0], raw
 
     def _passed(self, innovation: Innovation) -> NDArray[np.bool_]:
-        """Where a component is within the gate `(run, m)`; a failed run's stay in."""
+        """Mask of the components within the gate; those of a failed run are in the mask."""
         if self.method == "gate":
             limit = chdtri(np.maximum(innovation.dof, 1), 1.0 - self.gate)
             out = np.broadcast_to(~(innovation.nis > limit)[:, None], innovation.residual.shape)

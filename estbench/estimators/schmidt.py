@@ -3,9 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import joseph
@@ -13,7 +10,7 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import names, one_of
 from estbench.estimators.update import apply_correction, correct
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.patterns import expand
 
@@ -22,13 +19,13 @@ from estbench.spaces.patterns import expand
 class SchmidtEKF(EKF):
     """Schmidt-Kalman EKF: considered coordinates are uncertain, but not estimated (gain zero).
 
-    The optimal gain K = P⁻ Hᵀ S⁻¹ keeps its rows for the estimated coordinates only; the covariance
-    is Joseph's with that gain, which holds for any gain, so the considered coordinates keep their
-    variance and their correlations with the rest are right.
+    The rows of the optimal gain K = P⁻ Hᵀ S⁻¹ for the considered coordinates are set to zero. The
+    covariance is updated in Joseph's form, which holds for any gain: the considered coordinates
+    keep their variance, and their correlations with the other coordinates are correct.
 
-    Cost per step: the EKF's. Choose it for biases and parameters that are too weakly observable to
-    estimate but too large to ignore; usually on an `Augmented` model, whose biases are called
-    `bias.*` and `input.*` (from a scenario: `type = "bias_ekf"` with `considered`).
+    Cost per step: that of the EKF. Choose it for biases and parameters that are too weakly
+    observable to estimate but too large to ignore; usually on an `Augmented` model, whose biases
+    are called `bias.*` and `input.*` (from a scenario: `type = "bias_ekf"` with `considered`).
 
     Attributes:
         model: the filter's model.
@@ -54,11 +51,11 @@ class SchmidtEKF(EKF):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """x̂⁺ = x̂⁻ ⊞ K ν and P⁺ in Joseph's form, with the considered rows of K at zero."""
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)

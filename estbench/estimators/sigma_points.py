@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 
 
@@ -13,27 +13,33 @@ class SigmaPoints:
     """A cubature rule for N(0, I): Σ wᵢ g(ξᵢ) ≈ E g(ξ).
 
     Attributes:
-        points: ξ `(point, n)`.
-        mean_weights: `(point,)`, sum 1.
-        cov_weights: `(point,)`.
+        points: ξ.
+        mean_weights: weights of the mean; their sum is 1.
+        cov_weights: weights of the covariance.
     """
 
-    points: Array
-    mean_weights: Array
-    cov_weights: Array
+    points: Float[Array, "point n"]
+    mean_weights: Float[Array, " point"]
+    cov_weights: Float[Array, " point"]
 
-    def draw(self, space: Manifold, mean: Array, lower: Array) -> Array:
-        """The points x̂ ⊞ L ξ `(run, point, nx)` for a factor L `(run, n, n)` of P."""
+    def draw(
+        self, space: Manifold, mean: Float[Array, "run nx"], lower: Float[Array, "run n n"]
+    ) -> Float[Array, "run point nx"]:
+        """The points x̂ ⊞ L ξ for a factor L of P."""
         return space.plus(mean[:, None], self.points @ lower.mT)
 
-    def moments(self, space: Manifold, values: Array) -> tuple[Array, Array, Array]:
-        """Mean `(run, nx)`, residuals from it `(run, point, n)` and covariance `(run, n, n)`."""
+    def moments(
+        self, space: Manifold, values: Float[Array, "run point nx"]
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"], Float[Array, "run n n"]]:
+        """Mean of the values, their residuals from it, and their covariance."""
         mean = space.mean(values, self.mean_weights)
         residual = space.minus(values, mean[:, None])
         return mean, residual, self.cross(residual, residual)
 
-    def cross(self, a: Array, b: Array) -> Array:
-        """Σ wᵢ aᵢ bᵢᵀ `(run, n, m)` of residuals `(run, point, n)` and `(run, point, m)`."""
+    def cross(
+        self, a: Float[Array, "run point n"], b: Float[Array, "run point m"]
+    ) -> Float[Array, "run n m"]:
+        """Σ wᵢ aᵢ bᵢᵀ of two sets of residuals."""
         return (a * self.cov_weights[:, None]).mT @ b
 
 

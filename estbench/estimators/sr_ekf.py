@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
@@ -19,19 +18,19 @@ from estbench.estimators.factors import (
 )
 from estbench.estimators.protocol import Innovation
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 
 @dataclass(frozen=True)
 class SquareRootEKF(FactorEstimator):
-    """Square-root EKF: a triangular factor L in place of P = L Lᵀ, which stays definite.
+    """Square-root EKF: it propagates a triangular factor L of P = L Lᵀ, so P stays definite.
 
-    Both steps triangularize an array by QR; P and S are never formed, so the factor keeps twice
-    the digits. It equals the EKF up to rounding.
+    Both steps triangularize an array by QR. P and S are not formed, so the factor has twice the
+    number of correct digits. It equals the EKF up to rounding.
 
     Cost per step: as the EKF, n + 1 transitions and n + 1 measurements with forward differences,
-    and QR in place of products. Choose it when P is badly conditioned: very precise sensors beside
-    very uncertain states, long runs, a covariance fault of another filter.
+    and QR in place of products. Choose it where P is ill-conditioned: very precise sensors together
+    with very uncertain states, long runs, or a covariance fault of another filter.
 
     Attributes:
         model: the filter's model.
@@ -39,7 +38,9 @@ class SquareRootEKF(FactorEstimator):
 
     model: Model
 
-    def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
+    def predict(
+        self, belief: FactorBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> FactorBelief:
         """x̂⁻ = f(x̂⁺, u); L⁻ from QR of [Φ L⁺, Q^½]."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
@@ -50,13 +51,13 @@ class SquareRootEKF(FactorEstimator):
     def update(
         self,
         belief: FactorBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
-        """QR takes [[R^½, H L⁻], [0, L⁻]] to [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
+        """QR transforms [[R^½, H L⁻], [0, L⁻]] to [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
         R = self.model.measurement_noise(t, channels)
         residual = self.model.output(channels).minus(y, predicted)

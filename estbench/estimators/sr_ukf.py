@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
@@ -22,25 +21,25 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import solve_lower
 
 
 @dataclass(frozen=True)
 class SquareRootUKF(FactorEstimator):
-    """Square-root UKF: a triangular factor in place of P; points are redrawn before the update.
+    """Square-root UKF: it propagates a triangular factor of P and redraws points before the update.
 
     The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the equally weighted residuals and Q^½, then a
-    rank-one update with the centre's residual, whose weight may be negative. The measurement takes
-    K S^½ from L by one downdate a component. It equals the UKF up to rounding.
+    rank-one update with the residual of the centre, whose weight may be negative. A measurement
+    subtracts K S^½ from L by one downdate per component. It equals the UKF up to rounding.
 
     Cost per step: 2 n + 1 transitions and 2 n + 1 measurements, no Cholesky factorization of P.
-    Choose it over the UKF when P is badly conditioned.
+    Choose it over the UKF where P is ill-conditioned.
 
     Attributes:
         model: the filter's model.
-        alpha, beta, kappa: of the scaled rule, as in `UKF`; at the default 1, 2, 0 the centre's
-            covariance weight is 2 and nothing is downdated in the prediction.
+        alpha, beta, kappa: of the scaled rule, as in `UKF`; at the default 1, 2, 0 the covariance
+            weight of the centre is 2, and the prediction needs no downdate.
     """
 
     model: Model
@@ -54,7 +53,9 @@ class SquareRootUKF(FactorEstimator):
         rule = scaled(self.model.space.n, self.alpha, self.beta, self.kappa)
         object.__setattr__(self, "rule", rule)
 
-    def predict(self, belief: FactorBelief, u: Array, t: float, dt: float) -> FactorBelief:
+    def predict(
+        self, belief: FactorBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> FactorBelief:
         """x̂⁻ and L⁻ from the propagated points, time update of algorithm 3.1."""
         space = self.model.space
         points = self.rule.draw(space, belief.mean, belief.factor)
@@ -68,11 +69,11 @@ class SquareRootUKF(FactorEstimator):
     def update(
         self,
         belief: FactorBelief,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
         """K = (Pxy S^-ᵀ½) S^-½; L⁺ is L⁻ downdated by K S^½ (algorithm 3.1)."""
         space, output = self.model.space, self.model.output(channels)
@@ -99,7 +100,7 @@ class SquareRootUKF(FactorEstimator):
         return factor_settle(space, belief, delta, factor, fault), innovation
 
     def _factor(self, residuals: Array, noise: Array) -> Array:
-        """The factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ; the centre's point is the first."""
+        """The factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ; the first residual is that of the centre."""
         weights = self.rule.cov_weights
         columns = np.swapaxes(np.sqrt(weights[1]) * residuals[:, 1:], -1, -2)
         factor = triangular(np.concatenate([columns, noise], axis=-1))

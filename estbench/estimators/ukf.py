@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
 from estbench.estimators.protocol import Innovation
@@ -11,41 +10,41 @@ from estbench.estimators.settings import scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.estimators.update import apply_correction, correct, mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, symmetrize
 
 
 @dataclass(frozen=True, eq=False)
 class SigmaBelief(Gaussian):
-    """A Gaussian with the propagated points it came from, kept when they are not redrawn.
+    """A Gaussian with the propagated points that it is computed from.
 
-    `points` is `(run, point, nx)`, or None after an update or when the points are redrawn.
+    `points` is None after an update, and if the points are redrawn.
     """
 
-    points: Array | None = None
+    points: Float[Array, "run point nx"] | None = None
 
 
 @dataclass(frozen=True)
 class SigmaPointFilter(GaussianEstimator):
-    """A Gaussian filter by any sigma-point rule; the UKF and the cubature filters differ in `rule`.
+    """A Gaussian filter with any sigma-point rule; the UKF and the cubature filters set `rule`.
 
     Attributes:
         model: the filter's model.
-        redraw: whether fresh points are drawn from x̂⁻, P⁻ before the measurement update
-            (source 003, eq. 11), so that they see the process noise; otherwise the propagated ones
-            are used and the update knows of Q only through P⁻.
+        redraw: whether new points are drawn from x̂⁻, P⁻ before the measurement update (source 003,
+            eq. 11), so that their spread includes the process noise; otherwise the propagated
+            points are used, and Q enters the update through P⁻ only.
     """
 
     model: Model
     redraw: bool = True
     rule: SigmaPoints = field(init=False, repr=False)
 
-    def init(self, mean: Array, cov: Array) -> Gaussian:
-        """Start from mean `(run, nx)` and covariance `(run, n, n)`."""
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Gaussian:
+        """Start from N(mean, cov)."""
         start = super().init(mean, cov)
         return SigmaBelief(start.mean, start.cov, start.fault)
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
+    def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ and P⁻ from the propagated points, P⁻ += Q (source 003, eq. 10)."""
         lower = cholesky(belief.cov)
         points = self.rule.draw(self.model.space, belief.mean, lower)
@@ -60,11 +59,11 @@ class SigmaPointFilter(GaussianEstimator):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
         """P⁺ = P⁻ - K S Kᵀ with Pxy, S from the points' images (source 003, eq. 11)."""
         space, output = self.model.space, self.model.output(channels)
@@ -87,8 +86,10 @@ class SigmaPointFilter(GaussianEstimator):
         return SigmaBelief(posterior.mean, posterior.cov, posterior.fault), c.innovation
 
 
-def failed_factor(lower: Array, cov: Array) -> NDArray[np.uint8]:
-    """`Fault.COVARIANCE` `(run,)` where a finite covariance has no Cholesky factor."""
+def failed_factor(
+    lower: Float[Array, "run n n"], cov: Float[Array, "run n n"]
+) -> UInt[Faults, " run"]:
+    """`Fault.COVARIANCE` where a finite covariance has no Cholesky factor."""
     failed = ~np.isfinite(lower[:, 0, 0]) & np.isfinite(cov[:, 0, 0])
     return np.where(failed, Fault.COVARIANCE, Fault.NONE).astype(np.uint8)
 
@@ -97,14 +98,14 @@ def failed_factor(lower: Array, cov: Array) -> NDArray[np.uint8]:
 class UKF(SigmaPointFilter):
     """Unscented Kalman filter, by the scaled transform.
 
-    Cost per step: 2 n + 1 transitions and 2 n + 1 measurements.
-    Choose it where the EKF is overconfident because the model bends within one standard deviation,
-    or where the model has no usable derivative.
+    Cost per step: 2 n + 1 transitions and 2 n + 1 measurements. Choose it where the EKF is
+    overconfident because the model is nonlinear within one standard deviation, or where the model
+    has no usable derivative.
 
     Attributes:
         alpha: spread of the points, in (0, 1]; at the default 1 no weight is large, so P stays
-            positive definite. Small values (1e-3) take huge weights of opposite sign.
-        beta: 2 suits a Gaussian.
+            positive definite. Small values (1e-3) give large weights of opposite sign.
+        beta: 2 is optimal for a Gaussian.
         kappa: secondary spread; n + κ must be positive.
     """
 

@@ -1,14 +1,13 @@
-"""The measurement update that every Gaussian filter shares: condition, correct, mark failures."""
+"""The measurement update of the Gaussian filters: condition, correct, mark failures."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.protocol import Innovation
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
 from estbench.spaces.manifold import Manifold
 
@@ -17,47 +16,50 @@ from estbench.spaces.manifold import Manifold
 class Correction:
     """The linear estimate of the error from an innovation: δ = K ν.
 
-    Its gain K and its reduction K S Kᵀ are products that few filters need both of.
+    The gain K and the reduction K S Kᵀ are computed when a filter asks for them.
 
     Attributes:
-        delta: K ν `(run, n)`.
+        delta: K ν.
         innovation: ν, S and NIS.
         fault: `Fault.INNOVATION` where S has no Cholesky factor.
-        white: W = L⁻¹ Pxyᵀ `(run, m, n)`, with S = L Lᵀ.
-        whitening: L⁻¹ `(run, m, m)`.
+        white: W = L⁻¹ Pxyᵀ, with S = L Lᵀ.
+        whitening: L⁻¹.
     """
 
-    delta: Array
+    delta: Float[Array, "run n"]
     innovation: Innovation
-    fault: NDArray[np.uint8]
-    white: Array
-    whitening: Array
+    fault: UInt[Faults, " run"]
+    white: Float[Array, "run m n"]
+    whitening: Float[Array, "run m m"]
 
     @cached_property
-    def gain(self) -> Array:
-        """K = Wᵀ L⁻¹ `(run, n, m)`."""
+    def gain(self) -> Float[Array, "run n m"]:
+        """The gain K = Wᵀ L⁻¹."""
         return self.white.mT @ self.whitening
 
     @cached_property
-    def reduction(self) -> Array:
-        """K S Kᵀ = Wᵀ W `(run, n, n)`, what the update takes from P."""
+    def reduction(self) -> Float[Array, "run n n"]:
+        """The reduction of P by the update, K S Kᵀ = Wᵀ W."""
         return self.white.mT @ self.white
 
 
 def correct(
-    residual: Array, S: Array, cross: Array, mask: NDArray[np.bool_] | None = None
+    residual: Float[Array, "run m"],
+    S: Float[Array, "run m m"],
+    cross: Float[Array, "run n m"],
+    mask: Bool[Mask, "run m"] | None = None,
 ) -> Correction:
     """Condition on an innovation: K = Pxy S⁻¹ by Cholesky (source 003, eq. 3-4; Bishop, eq. 20).
 
     With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K ν = Wᵀ (L⁻¹ ν), NIS = |L⁻¹ ν|².
-    A component that did not arrive is taken out exactly: its cross-covariance and residual are
-    zero and its row and column of S are those of the identity.
+    A component that did not arrive has no effect: its cross-covariance and residual are set to
+    zero, its row and column of S to those of the identity.
 
     Args:
-        residual: ν `(run, m)`.
-        S: innovation covariance `(run, m, m)`, R included.
-        cross: Pxy `(run, n, m)` (P Hᵀ for a linear measurement).
-        mask: `(run, m)`, True where a component arrived.
+        residual: ν.
+        S: innovation covariance, including R.
+        cross: Pxy (P Hᵀ for a linear measurement).
+        mask: True where a component arrived; None if all did.
     """
     m, n = S.shape[-1], cross.shape[-2]
     if mask is not None and not mask.all():
@@ -85,18 +87,18 @@ def correct(
 def apply_correction(
     space: Manifold,
     prior: Gaussian,
-    delta: Array,
-    cov: Array,
-    fault: NDArray[np.uint8] | None = None,
+    delta: Float[Array, "run n"],
+    cov: Float[Array, "run n n"],
+    fault: UInt[Faults, " run"] | None = None,
 ) -> Gaussian:
-    """The posterior x̂⁻ ⊞ δ with its covariance carried to the new tangent; failures marked."""
+    """The posterior x̂⁻ ⊞ δ, its covariance mapped to the tangent there; failed runs are marked."""
     return mark_failed(
         replace(prior, mean=space.plus(prior.mean, delta), cov=space.transport(cov, delta)), fault
     )
 
 
-def mark_failed(belief: Gaussian, fault: NDArray[np.uint8] | None = None) -> Gaussian:
-    """The belief with every run that is not finite, or has a new `fault`, set to NaN and marked."""
+def mark_failed(belief: Gaussian, fault: UInt[Faults, " run"] | None = None) -> Gaussian:
+    """Set every run that is not finite, or has a new `fault`, to NaN and record its fault."""
     failed = np.count_nonzero(belief.fault) or (fault is not None and np.count_nonzero(fault))
     if not failed and surely_finite(belief.mean, belief.cov):
         return belief

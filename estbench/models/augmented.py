@@ -1,6 +1,6 @@
 """A model whose state is augmented with biases or unknown inputs.
 
-It is source 002's remedy for biases: x_a = (x, b, d), x⁺ = f(x, u + E d) ⊞ w,
+The remedy for biases of source 002: x_a = (x, b, d), x⁺ = f(x, u + E d) ⊞ w,
 y = h(x, u + E d) ⊞ (C b) ⊞ v, where b and d are constants, random walks or first-order Gauss-Markov
 processes (Gelb 1974, ch. 3).
 """
@@ -13,7 +13,7 @@ import numpy as np
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold, carry
 from estbench.spaces.patterns import expand
 
@@ -24,14 +24,14 @@ PerName = float | Sequence[float] | dict[str, float]
 class Bias:
     """One unknown that is added to a measurement coordinate or to a control.
 
-    Constant with standard deviation `std` at the start; with `walk` a random walk of that standard
-    deviation after 1 s; with `time_constant` a Gauss-Markov process, stationary with `std`.
+    By default it is constant. With `walk` it is a random walk, with `time_constant` a stationary
+    Gauss-Markov process.
 
     Attributes:
         target: name of the measurement coordinate, or `u0`, `u1`, ... for a control.
-        std: in the target's unit.
-        walk: in the target's unit per √s.
-        time_constant: s; 0 means none.
+        std: standard deviation at the start, in the unit of the target.
+        walk: intensity of the random walk, unit of the target per √s.
+        time_constant: correlation time of the Gauss-Markov process, s; 0 for none.
     """
 
     target: str
@@ -57,14 +57,14 @@ class Augmented:
     """The model with biases of measurement coordinates and unknown inputs as further states.
 
     The new states are called `bias.TARGET` and `input.TARGET`. A bias of a rotation (quaternion
-    channel) is a body-frame rotation vector. With inputs, Jacobians cost 2 further transitions and
-    measurements for each, and the rows of one run's points are passed to the model as runs of their
-    own, so the model's parameters must not differ between runs.
+    channel) is a body-frame rotation vector. Each input costs a Jacobian 2 more transitions or
+    measurements. With inputs the points of one run are passed to the model as separate runs, so the
+    parameters of the model must not differ between runs.
 
     Attributes:
         model: the model to augment.
         sensors: biases of measurement coordinates, named as in `model.output().names`.
-        inputs: additive unknowns of controls `u0`, `u1`, ....
+        inputs: unknowns added to the controls `u0`, `u1`, ...
         differences: scheme and step of the Jacobians with respect to the inputs.
 
     Raises:
@@ -112,18 +112,19 @@ class Augmented:
         inputs: PerName = 0.0,
         input_walk: PerName = 0.0,
     ) -> "Augmented":
-        """Augment by patterns: every coordinate with a positive std in `bias` or `inputs` gets one.
+        """Augment by patterns: a coordinate with a nonzero std in `bias` or `inputs` gets a bias.
 
         Args:
             model: the model to augment.
-            bias: std of each measurement coordinate's bias (a number, a list or {pattern: number}).
-            walk: random walk of the biases.
-            time_constant: s, of Gauss-Markov biases.
-            inputs: std of the unknown addition to each control.
-            input_walk: random walk of the inputs.
+            bias: std of the bias of each measurement coordinate: a number, a list or
+                {pattern: number}.
+            walk: intensity of the random walk of each bias.
+            time_constant: correlation time of each bias, s.
+            inputs: std of the unknown added to each control.
+            input_walk: intensity of the random walk of each input.
 
         Raises:
-            ScenarioError: a pattern matches nothing, or a value is negative.
+            ScenarioError: a pattern matches no name, or a value is negative.
         """
         names, controls = model.output().names, tuple(f"u{i}" for i in range(model.nu))
         settings = (bias, "bias"), (walk, "walk"), (time_constant, "time_constant")
@@ -140,7 +141,7 @@ class Augmented:
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         return self.model.nu
 
     @property
@@ -148,8 +149,10 @@ class Augmented:
         """The added states, in order."""
         return (*self.sensors, *self.inputs)
 
-    def augment(self, mean: Array, cov: Array) -> tuple[Array, Array]:
-        """The initial x̂ `(run, nx)` and P `(run, n, n)` with zero biases of their own std."""
+    def augment(
+        self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]
+    ) -> tuple[Float[Array, "run nx_augmented"], Float[Array, "run n_augmented n_augmented"]]:
+        """x̂₀ and P₀ with the biases appended: zero mean, variance `std`²."""
         extra = len(self.biases)
         variance = np.array([b.std**2 for b in self.biases])
         mean = np.concatenate([mean, np.zeros((len(mean), extra))], axis=-1)
@@ -159,13 +162,17 @@ class Augmented:
         """The measurement's manifold."""
         return self.model.output(channels)
 
-    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """f(x, u + E d) for the state; every bias times its decay exp(-dt/τ), 1 without τ."""
+    def transition(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float
+    ) -> Float[Array, "*lead nx"]:
+        """f(x, u + E d) for the state; each bias is multiplied by exp(-dt/τ), or by 1 without τ."""
         x, b, d = self._split(x)
         moved = self._rows(lambda p, v: self.model.transition(p, v, t, dt), x, u, d)
         return np.concatenate([moved, np.concatenate([b, d], axis=-1) * self._decay(dt)], axis=-1)
 
-    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
+    def transition_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
         """The transition and Φ = [Φ 0 ∂f/∂d; 0 φ]."""
         x, b, d = self._split(x)
         moved, inner = self.model.transition_jacobian(x, u + d @ self._E.T, t, dt)
@@ -178,14 +185,22 @@ class Augmented:
         )
         return np.concatenate([moved, np.concatenate([b, d], axis=-1) * decay], axis=-1), F
 
-    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
+    def process_noise(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Float[Array, "... n n"]:
         """Q and, for the biases, walk² dt or std² (1 - φ²)."""
         x, _, d = self._split(x)
         Q = self.model.process_noise(x, u + d @ self._E.T, t, dt)
         walk, std = (np.array([getattr(b, k) for b in self.biases]) for k in ("walk", "std"))
         return _padded(Q, walk**2 * dt + std**2 * (1.0 - self._decay(dt) ** 2))
 
-    def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
+    def measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
         """h(x, u + E d) ⊞ C b."""
         x, b, d = self._split(x)
         y = self._rows(lambda p, v: self.model.measurement(p, v, t, channels), x, u, d)
@@ -193,9 +208,13 @@ class Augmented:
         return output.plus(y, b @ _selection(output.names, self._names).T)
 
     def measurement_jacobian(
-        self, x: Array, u: Array, t: float, channels: Channels = None
-    ) -> tuple[Array, Array]:
-        """The measurement and H = [H, C, ∂h/∂d], carried to the tangent at the biased reading."""
+        self,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
+        """The measurement and [H, C, ∂h/∂d], in the tangent at the biased measurement."""
         x, b, d = self._split(x)
         output = self.model.output(channels)
         C = _selection(output.names, self._names)
@@ -208,12 +227,12 @@ class Augmented:
         n = self.model.space.n
         return output.plus(y, shift), np.concatenate([H[..., :n], C, H[..., n:]], axis=-1)
 
-    def measurement_noise(self, t: float, channels: Channels = None) -> Array:
+    def measurement_noise(self, t: float, channels: Channels = None) -> Float[Array, "... m m"]:
         """R."""
         return self.model.measurement_noise(t, channels)
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        """State, biases and inputs of x `(..., nx)`."""
+        """The parts of an augmented state `(..., nx)`: state, biases, inputs."""
         parts = np.split(x, [self.model.space.nx, self.model.space.nx + len(self.sensors)], axis=-1)
         return parts[0], parts[1], parts[2]
 
@@ -223,7 +242,7 @@ class Augmented:
         )
 
     def _rows(self, function, x: Array, u: Array, d: Array) -> Array:
-        """A function of state and control at u + E d, where d may differ from point to point."""
+        """A function of state and control, evaluated at u + E d; d may differ between points."""
         if not self.inputs:
             return function(x, u)
         if x.ndim == 2:

@@ -1,4 +1,4 @@
-"""Calling the functions of a user's model: what they raise and return, said in words."""
+"""Calls of the functions of a user's model, with errors that name the function and the remedy."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ Matrix = Array | Callable[..., Array]
 
 
 def call(name: str, function: Callable[..., Any], *args: Any) -> Any:
-    """What a user's function returns.
+    """Call a user's function and return its result.
 
     Raises:
         ModelError: it raised, or takes other arguments; the user's error is the cause.
@@ -29,11 +29,11 @@ def call(name: str, function: Callable[..., Any], *args: Any) -> Any:
 
 
 def numbers(what: str, given: Any, expected: str) -> Array:
-    """What a user gave as float64 numbers; `what` begins the message, e.g. `f returned`.
+    """A user's value as an array of float64; `what` begins the message, e.g. `f returned`.
 
     Raises:
-        DimensionError: it is no array of real numbers, or one of float32, in which a Jacobian by
-            differences would be noise.
+        DimensionError: the value is not an array of real numbers, or it is float32, whose rounding
+            errors would dominate a Jacobian by differences.
     """
     try:
         out = np.asarray(given)
@@ -47,7 +47,7 @@ def numbers(what: str, given: Any, expected: str) -> Array:
 
 
 def matrix_at(name: str, matrix: Matrix, *time: float) -> Array:
-    """A matrix, or what its function of time returns.
+    """A matrix that is given as such or as a function of time.
 
     Raises:
         ModelError, DimensionError: as for `call` and `numbers`.

@@ -11,7 +11,7 @@ from estbench.models.calls import Matrix, matrix_at
 from estbench.models.differences import Differences
 from estbench.models.function import Function, FunctionModel
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces import rotation
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.manifold import Manifold
@@ -19,25 +19,36 @@ from estbench.spaces.manifold import Manifold
 
 @runtime_checkable
 class ContinuousModel(Model, Protocol):
-    """A model that also gives its flow, for filters that integrate it (Bishop, eq. 1)."""
+    """A model that also gives its rate ẋ, for filters that integrate it (Bishop, eq. 1)."""
 
-    def flow(self, x: Array, u: Array, t: float) -> Array:
-        """ẋ `(..., n)` in the tangent at x `(..., nx)`; rotations by their body-frame rate."""
+    def flow(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
+    ) -> Float[Array, "*lead n"]:
+        """ẋ in the tangent at x; for a rotation the body-frame angular rate."""
         ...
 
-    def flow_jacobian(self, x: Array, u: Array, t: float) -> tuple[Array, Array]:
-        """ẋ `(run, n)` and ∂ẋ(x ⊞ δ)/∂δ at 0 `(run, n, n)`, without the turning of the tangent."""
+    def flow_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float
+    ) -> tuple[Float[Array, "run n"], Float[Array, "run n n"]]:
+        """ẋ and ∂ẋ(x ⊞ δ)/∂δ at δ = 0, without the rotation of the tangent itself."""
         ...
 
-    def spectral_density(self, x: Array, u: Array, t: float) -> Array:
-        """Q_s of the white noise on ẋ, `(n, n)` or `(run, n, n)`."""
+    def spectral_density(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float
+    ) -> Float[Array, "... n n"]:
+        """Q_s of the white noise on ẋ; one, or one per run."""
         ...
 
 
 def integrate(
-    model: ContinuousModel, x: Array, u: Array, t: float, dt: float, substeps: int = 1
-) -> Array:
-    """The state after dt by RK4; 4 `substeps` flows; x `(run, nx)` or `(run, point, nx)`."""
+    model: ContinuousModel,
+    x: Float[Array, "*lead nx"],
+    u: Float[Array, "... nu"],
+    t: float,
+    dt: float,
+    substeps: int = 1,
+) -> Float[Array, "*lead nx"]:
+    """The state after dt by RK4. Cost: 4 `substeps` flows."""
     for start, h in _grid(t, dt, substeps):
 
         def slope(s: float, state: tuple[Array, ...], x: Array = x) -> tuple[Array, ...]:
@@ -50,12 +61,17 @@ def integrate(
 
 
 def integrate_moments(
-    model: ContinuousModel, x: Array, u: Array, t: float, dt: float, substeps: int = 1
-) -> tuple[Array, Array, Array]:
-    """State `(run, nx)`, Φ and Q̄ `(run, n, n)` after dt, together by RK4 (Bishop, eq. 10).
+    model: ContinuousModel,
+    x: Float[Array, "run nx"],
+    u: Float[Array, "run nu"],
+    t: float,
+    dt: float,
+    substeps: int = 1,
+) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"], Float[Array, "run n n"]]:
+    """State, Φ and Q̄ after dt, integrated together by RK4 (Bishop, eq. 10).
 
-    The state moves along the tangent increment from each substep's start; Φ and Q̄ are taken between
-    the tangents at the first x and at the moving one. Cost: 4 `substeps` flow Jacobians.
+    The tangent increment from the start of each substep is integrated. Φ maps the tangent at the
+    first x to that at the current x; Q̄ is in the latter. Cost: 4 `substeps` flow Jacobians.
     """
     n = model.space.n
     Phi = np.broadcast_to(np.eye(n), (len(x), n, n))
@@ -71,11 +87,18 @@ def integrate_moments(
 
 
 def moment_rates(
-    model: ContinuousModel, x: Array, u: Array, t: float, delta: Array, Phi: Array, Q: Array
-) -> tuple[Array, Array, Array]:
+    model: ContinuousModel,
+    x: Float[Array, "run nx"],
+    u: Float[Array, "run nu"],
+    t: float,
+    delta: Float[Array, "run n"],
+    Phi: Float[Array, "run n n"],
+    Q: Float[Array, "run n n"],
+) -> tuple[Float[Array, "run n"], Float[Array, "run n n"], Float[Array, "run n n"]]:
     """Rates of δ, Φ and Q̄ at x ⊞ δ: Φ̇ = F Φ, dQ̄/dt = F Q̄ + Q̄ Fᵀ + Q_s (Bishop, eq. 6, 9).
 
-    F is the Jacobian of the flow less [ω]× for every rotation, since the body-frame tangent turns.
+    F is the Jacobian of the flow minus [ω]× for every rotation, since the body-frame tangent
+    rotates.
     """
     space = model.space
     point = space.plus(x, delta)
@@ -90,8 +113,10 @@ def moment_rates(
     return chart_rate(space, delta, rate), F @ Phi, driven
 
 
-def chart_rate(space: Manifold, delta: Array, rate: Array) -> Array:
-    """δ̇ = J(δ)⁻¹ ẋ `(..., n)`: the rate of x ⊞ δ in the chart at x (Hairer et al. 2006, IV.8)."""
+def chart_rate(
+    space: Manifold, delta: Float[Array, "*lead n"], rate: Float[Array, "*lead n"]
+) -> Float[Array, "*lead n"]:
+    """δ̇ = J(δ)⁻¹ ẋ: the rate of x ⊞ δ in the chart at x (Hairer et al. 2006, IV.8)."""
     if space.flat:
         return rate
     solved = np.linalg.solve(space.reset_jacobian(delta), rate[..., None])
@@ -126,7 +151,7 @@ def _rk4(
 class ContinuousFunctionModel:
     """ẋ = f(x, u, t) + G(t) u + w, y = h(x, u, t) + v in R^n (Bishop, eq. 1-2).
 
-    It is a discrete model too, by RK4 of x, Φ and Q̄, so every estimator runs on it.
+    RK4 of x, Φ and Q̄ makes it a discrete model too, so every estimator accepts it.
 
     Attributes:
         f: takes x `(..., n)`, u `(..., nu)` and t in s, returns ẋ `(..., n)` without G u.
@@ -134,19 +159,21 @@ class ContinuousFunctionModel:
         Q_s: spectral density of w `(n, n)`, or a function of t.
         R: measurement noise covariance `(m, m)`, or a function of t.
         G: `(n, nu)`, or a function of t; None where f uses u itself, or for no control.
-        n_controls: count of controls; G's columns if there is a G.
-        f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if absent.
-        batched: whether f, h and their Jacobians take leading axes; if not they are looped over.
+        n_controls: number of controls; with G, the number of its columns.
+        f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if None.
+        batched: whether f, h and their Jacobians take leading axes; if not they are called once
+            per state.
         substeps: RK4 steps in one transition.
         differences: scheme and step of the difference Jacobians.
-        names, units: of the state's coordinates.
+        names, units: names and units of the state coordinates.
         angles, state_angles: components of y, and of x, that are angles; see `FunctionModel`.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite, a function's at t = 0 or at a call.
-        DimensionError: G does not fit Q_s; at a call, a function returns another shape, no real
-            numbers, or float32.
-        ModelError: at a call, a function raises.
+        CovarianceError: R is not symmetric positive definite; for a function of t, at t = 0 or in a
+            later call.
+        DimensionError: G does not fit Q_s. In a later call: a function returns another shape,
+            values that are not real numbers, or float32.
+        ModelError: in a later call: a function raises.
     """
 
     f: Function
@@ -199,49 +226,73 @@ class ContinuousFunctionModel:
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         return self.n_controls
 
     def output(self, channels: Channels = None) -> Manifold:
-        """R^m; a function model has one channel."""
+        """R^m; the model has a single channel."""
         return self._parts.output()
 
-    def flow(self, x: Array, u: Array, t: float = 0.0) -> Array:
+    def flow(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float = 0.0
+    ) -> Float[Array, "*lead n"]:
         """ẋ = f + G u."""
         return self._driven(self._parts.transition(x, u, t, 0.0), u, t)
 
-    def flow_jacobian(self, x: Array, u: Array, t: float = 0.0) -> tuple[Array, Array]:
+    def flow_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0
+    ) -> tuple[Float[Array, "run n"], Float[Array, "run n n"]]:
         """ẋ = f + G u and ∂f/∂x."""
         rate, F = self._parts.transition_jacobian(x, u, t, 0.0)
         return self._driven(rate, u, t), F
 
-    def spectral_density(self, x: Array, u: Array, t: float = 0.0) -> Array:
+    def spectral_density(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0
+    ) -> Float[Array, "... n n"]:
         """Q_s."""
         return matrix_at("Q_s", self.Q_s, t)
 
-    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
+    def transition(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float
+    ) -> Float[Array, "*lead nx"]:
         """The state after dt by RK4."""
         return integrate(self, x, u, t, dt, self.substeps)
 
-    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
+    def transition_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
         """The state and Φ after dt by RK4 (Bishop, eq. 10)."""
         return integrate_moments(self, x, u, t, dt, self.substeps)[:2]
 
-    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
+    def process_noise(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Float[Array, "... n n"]:
         """Q̄ after dt by RK4 (Bishop, eq. 10)."""
         return integrate_moments(self, x, u, t, dt, self.substeps)[2]
 
-    def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
+    def measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float = 0.0,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
         """h(x, u, t)."""
         return self._parts.measurement(x, u, t)
 
     def measurement_jacobian(
-        self, x: Array, u: Array, t: float = 0.0, channels: Channels = None
-    ) -> tuple[Array, Array]:
+        self,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float = 0.0,
+        channels: Channels = None,
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
         """The measurement and ∂h/∂x."""
         return self._parts.measurement_jacobian(x, u, t)
 
-    def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
+    def measurement_noise(
+        self, t: float = 0.0, channels: Channels = None
+    ) -> Float[Array, "... m m"]:
         """R."""
         return self._parts.measurement_noise(t)
 

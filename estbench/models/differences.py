@@ -1,4 +1,4 @@
-"""Jacobians by finite differences in the tangent space, all perturbations as rows of one call."""
+"""Jacobians by finite differences in the tangent space, with all perturbations in one call."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ from typing import Literal
 import numpy as np
 
 from estbench.errors import ScenarioError
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True)
 class Differences:
-    """How to difference: `forward` (n + 1 evaluations) or `centered` (2 n + 1), and the step size.
+    """Scheme, `forward` (n + 1 evaluations) or `centered` (2 n + 1), and step of the differences.
 
-    The step is in the tangent coordinate's own unit. Forward differences err by O(step), centered
-    ones by O(step²) plus rounding of order 1e-16/step.
+    The step is in the unit of the tangent coordinate. The error of forward differences is O(step),
+    that of centered ones O(step²), plus rounding of order 1e-16/step.
     """
 
     scheme: Literal["forward", "centered"] = "forward"
@@ -29,12 +29,14 @@ class Differences:
         if not 0 < self.step < 1:
             raise ScenarioError(f"difference step is {self.step}; use a value in (0, 1), say 1e-6")
 
-    def directions(self, n: int) -> Array:
-        """Tangent perturbations `(point, n)`; the first is zero."""
+    def directions(self, n: int) -> Float[Array, "point n"]:
+        """Tangent perturbations; the first is zero."""
         return _directions(n, self.step, self.scheme, n)
 
-    def slope(self, space: Manifold, values: Array) -> Array:
-        """Jacobian `(run, m, n)` from values `(run, point, ny)` at the `directions`."""
+    def slope(
+        self, space: Manifold, values: Float[Array, "run point ny"]
+    ) -> Float[Array, "run m n"]:
+        """Jacobian from the values of a function at the `directions`."""
         change = space.minus(values[:, 1:], values[:, :1])
         if self.scheme == "centered":
             n = change.shape[1] // 2
@@ -46,13 +48,18 @@ class Differences:
         function: Callable[[Array], Array],
         source: Manifold,
         target: Manifold,
-        x: Array,
+        x: Float[Array, "run nx"],
         reach: int | None = None,
-    ) -> tuple[Array, Array]:
-        """Value `(run, ny)` and Jacobian `(run, m, n)` of a function of `(run, point, nx)` at x.
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
+        """Value and Jacobian of a function at x.
 
-        `reach`: how many tangent coordinates, from the first on, the function depends on; the
-        other columns are zero and cost nothing.
+        Args:
+            function: takes points `(run, point, nx)`, returns values `(run, point, ny)`.
+            source: space of x.
+            target: space of the value.
+            x: where the Jacobian is taken.
+            reach: the function depends on the first `reach` tangent coordinates only; the other
+                columns are zero and are not computed. Default: all.
         """
         n = source.n
         reach = n if reach is None else reach

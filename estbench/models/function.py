@@ -1,4 +1,4 @@
-"""A model from the user's own f and h, written for one state or for a batch."""
+"""A model from functions f and h of the user, written for one state or for a batch."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from estbench.errors import CovarianceError, DimensionError, ModelError
 from estbench.models.calls import Matrix, call, matrix_at, numbers
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite
 from estbench.spaces.manifold import Manifold
 
@@ -21,29 +21,29 @@ class FunctionModel:
     """x⁺ = f(x, u, t, dt) + Ω w, y = h(x, u, t) + v (source 001, eq. 1-2; source 002).
 
     Attributes:
-        f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`. A state
-            that cannot be computed is NaN; it ends its own run only.
+        f: transition; takes x `(..., n)`, u `(..., nu)`, t and dt in s, returns `(..., n)`. It
+            returns NaN for a state that it cannot compute; only the run of that state then fails.
         h: measurement; takes x `(..., n)`, u `(..., nu)` and t, returns `(..., m)`.
         Q: covariance of w in one step `(n, n)`, or `(k, k)` with Ω; or a function of t and dt.
         R: measurement noise covariance `(m, m)`, or a function of t.
-        n_controls: count of controls.
-        f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if absent.
-        batched: whether f, h and their Jacobians take leading axes; if not they are looped over,
-            and may return a plain number where the result has one component.
+        n_controls: number of controls.
+        f_jacobian, h_jacobian: ∂f/∂x `(..., n, n)` and ∂h/∂x `(..., m, n)`; differences if None.
+        batched: whether f, h and their Jacobians take leading axes; if not they are called once
+            per state, and may return a number where the result has one component.
         differences: scheme and step of the difference Jacobians.
-        names, units: of the state's coordinates.
+        names, units: names and units of the state coordinates.
         noise_gain: Ω `(n, k)`, or a function of x, u, t and dt that returns ∂x⁺/∂w `(..., n, k)`;
-            the process noise is then Ω Q Ωᵀ at the estimate. The identity by default.
-        n_states: n, where Ω is a function; else it follows from Q, or Ω.
-        angles: components of y that are angles, rad: a bearing of 3.1 is near one of -3.1.
-        state_angles: components of x that are angles which f, or whoever compares, may wrap.
+            the process noise is then Ω Q Ωᵀ at the estimate. Default: the identity.
+        n_states: n; needed where Ω is a function, else taken from Q or Ω.
+        angles: components of y that are angles, rad; their differences are taken into [-π, π].
+        state_angles: components of x that are angles, rad; likewise.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite, or Q not semidefinite; a function's
-            at t = 0 or at a call.
-        DimensionError: Q, R or Ω does not fit the others; at a call, a function returns another
-            shape than expected, no real numbers, or float32.
-        ModelError: f or h is no function; at a call, a function raises.
+        CovarianceError: R is not symmetric positive definite, or Q not semidefinite; for a function
+            of t, at t = 0 or in a later call.
+        DimensionError: Q, R or Ω does not fit the others. In a later call: a function returns
+            another shape, values that are not real numbers, or float32.
+        ModelError: f or h is not a function. In a later call: a function raises.
     """
 
     f: Function
@@ -102,20 +102,26 @@ class FunctionModel:
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         return self.n_controls
 
     def output(self, channels: Channels = None) -> Manifold:
-        """R^m; a function model has one channel."""
+        """R^m; the model has a single channel."""
         return self._output
 
-    def transition(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
+    def transition(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float = 0.0,
+        dt: float = 1.0,
+    ) -> Float[Array, "*lead nx"]:
         """f(x, u, t, dt)."""
         return self._call("f", self.f, (self.space.n,), x, u, t, dt)
 
     def transition_jacobian(
-        self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0
-    ) -> tuple[Array, Array]:
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0, dt: float = 1.0
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
         """F and ∂f/∂x."""
         n = self.space.n
         if self.f_jacobian is None:
@@ -125,7 +131,9 @@ class FunctionModel:
         F = self._call("f_jacobian", self.f_jacobian, (n, n), x, u, t, dt)
         return self.transition(x, u, t, dt), F
 
-    def process_noise(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
+    def process_noise(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0, dt: float = 1.0
+    ) -> Float[Array, "... n n"]:
         """Q, or Ω Q Ωᵀ."""
         gain, Q = self.noise_gain, self.Q
         if callable(Q):
@@ -140,13 +148,23 @@ class FunctionModel:
             gain = self._call("noise_gain", gain, (self.space.n, len(Q)), x, u, t, dt)
         return gain @ Q @ gain.mT
 
-    def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
+    def measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float = 0.0,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
         """h(x, u, t)."""
         return self._call("h", self.h, (self._output.n,), x, u, t)
 
     def measurement_jacobian(
-        self, x: Array, u: Array, t: float = 0.0, channels: Channels = None
-    ) -> tuple[Array, Array]:
+        self,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float = 0.0,
+        channels: Channels = None,
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
         """H and ∂h/∂x."""
         n, m = self.space.n, self._output.n
         if self.h_jacobian is None:
@@ -156,7 +174,9 @@ class FunctionModel:
         H = self._call("h_jacobian", self.h_jacobian, (m, n), x, u, t)
         return self.measurement(x, u, t), H
 
-    def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
+    def measurement_noise(
+        self, t: float = 0.0, channels: Channels = None
+    ) -> Float[Array, "... m m"]:
         """R."""
         R, m = self.R, self._output.n
         if callable(R):
@@ -174,7 +194,7 @@ class FunctionModel:
         u: Array,
         *time: float,
     ) -> Array:
-        """Call a user's function on `(run, n)` or `(run, point, n)` and check what it returns."""
+        """Call a user's function on states `(run, n)` or `(run, point, n)` and check the result."""
         if x.ndim == 3:
             u = np.broadcast_to(u[:, None], (*x.shape[:2], u.shape[-1]))
         full = (*x.shape[:-1], *shape)
@@ -202,7 +222,7 @@ class FunctionModel:
 
 
 def _one(name: str, function: Function, shape: tuple[int, ...], *args: Array | float) -> Array:
-    """What a function written for one state returns there; a number where one is expected."""
+    """The result of a function written for one state, in the expected shape."""
     out = call(name, function, *args)
     out = numbers(f"{name} returned", out, f"shape {shape} for one state")
     if out.shape != shape and (out.ndim or np.prod(shape) != 1):
@@ -211,7 +231,7 @@ def _one(name: str, function: Function, shape: tuple[int, ...], *args: Array | f
 
 
 def _covariance(name: str, matrix: Matrix, positive: str, *time: float) -> Array:
-    """Q or R at a time, which must be positive `definite` or `semidefinite`."""
+    """Q or R at a time, checked to be positive `definite` or `semidefinite`."""
     value = matrix_at(name, matrix, *time)
     if value.ndim != 2 or value.shape[0] != value.shape[1]:
         raise DimensionError(

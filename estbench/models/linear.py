@@ -6,22 +6,24 @@ import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError
 from estbench.models.protocol import Channels
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_definite
 from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Matrices of one discrete step; the model's step has no length, so `dt` and `t` are ignored.
+    """Matrices of one discrete step; they do not depend on time, so `dt` and `t` are ignored.
+
+    Every matrix may have a leading run axis.
 
     Attributes:
-        A: `(n, n)`, or `(run, n, n)` for one matrix a run; likewise the others.
-        C: `(m, n)`.
-        Q: process noise covariance `(n, n)`, positive semidefinite.
-        R: measurement noise covariance `(m, m)`, positive definite.
-        B: `(n, nu)`, zero columns by default.
-        D: feedthrough `(m, nu)`, zero by default.
+        A: transition matrix.
+        C: measurement matrix.
+        Q: process noise covariance, positive semidefinite.
+        R: measurement noise covariance, positive definite.
+        B: control matrix; default without columns.
+        D: feedthrough; default zero.
         names, units: of the state's coordinates.
 
     Raises:
@@ -29,12 +31,12 @@ class LinearModel:
         CovarianceError: R is not symmetric positive definite.
     """
 
-    A: Array
-    C: Array
-    Q: Array
-    R: Array
-    B: Array | None = None
-    D: Array | None = None
+    A: Float[Array, "... n n"]
+    C: Float[Array, "... m n"]
+    Q: Float[Array, "... n n"]
+    R: Float[Array, "... m m"]
+    B: Float[Array, "... n nu"] | None = None
+    D: Float[Array, "... m nu"] | None = None
     names: tuple[str, ...] | None = None
     units: tuple[str, ...] | None = None
     space: Manifold = field(init=False, repr=False)
@@ -60,39 +62,59 @@ class LinearModel:
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         assert self.B is not None
         return self.B.shape[-1]
 
     def output(self, channels: Channels = None) -> Manifold:
-        """R^m; a linear model has one channel."""
+        """R^m; the model has a single channel."""
         return self._output
 
-    def transition(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
+    def transition(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float = 0.0,
+        dt: float = 1.0,
+    ) -> Float[Array, "*lead nx"]:
         """A x + B u."""
         return _affine(self.A, x, self.B, u)
 
     def transition_jacobian(
-        self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0
-    ) -> tuple[Array, Array]:
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0, dt: float = 1.0
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
         """A x + B u and A."""
         return self.transition(x, u), np.broadcast_to(self.A, (len(x), *self.A.shape[-2:]))
 
-    def process_noise(self, x: Array, u: Array, t: float = 0.0, dt: float = 1.0) -> Array:
+    def process_noise(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0, dt: float = 1.0
+    ) -> Float[Array, "... n n"]:
         """Q."""
         return self.Q
 
-    def measurement(self, x: Array, u: Array, t: float = 0.0, channels: Channels = None) -> Array:
+    def measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float = 0.0,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
         """C x + D u."""
         return _affine(self.C, x, self.D, u)
 
     def measurement_jacobian(
-        self, x: Array, u: Array, t: float = 0.0, channels: Channels = None
-    ) -> tuple[Array, Array]:
+        self,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float = 0.0,
+        channels: Channels = None,
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
         """C x + D u and C."""
         return self.measurement(x, u), np.broadcast_to(self.C, (len(x), *self.C.shape[-2:]))
 
-    def measurement_noise(self, t: float = 0.0, channels: Channels = None) -> Array:
+    def measurement_noise(
+        self, t: float = 0.0, channels: Channels = None
+    ) -> Float[Array, "... m m"]:
         """R."""
         return self.R
 

@@ -1,7 +1,7 @@
-"""Process-noise builders: from a spectral density Q_s to the covariance Q of one step.
+"""The covariance Q of one step from a spectral density Q_s.
 
-Every builder takes the same white noise of density Q_s; those with `held` may instead hold each
-draw over the step, N(0, Q_s/dt), as the `force` disturbance of a MuJoCo model does.
+Every function assumes white noise of density Q_s. With `held` the noise is instead constant over
+the step, N(0, Q_s/dt), as for the `force` disturbance of a MuJoCo model.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,22 +11,27 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
-def van_loan(F: Array, Q_s: Array, dt: float, G: Array | None = None) -> tuple[Array, Array]:
-    """Φ and Q of ẋ = F x + G w over dt, exactly (Van Loan 1978, theorem 1).
+def van_loan(
+    F: Float[Array, "*lead n n"],
+    Q_s: Float[Array, "*other k k"],
+    dt: float,
+    G: Float[Array, "... n k"] | None = None,
+) -> tuple[Float[Array, "... n n"], Float[Array, "... n n"]]:
+    """Exact Φ and Q of ẋ = F x + G w over dt (Van Loan 1978, theorem 1).
 
     exp([[-F, G Q_s Gᵀ], [0, Fᵀ]] dt) = [[., Φ⁻¹ Q], [0, Φᵀ]].
 
     Args:
-        F: `(n, n)` or `(run, n, n)`, 1/s.
-        Q_s: spectral density of w `(k, k)` or `(run, k, k)`, unit²/Hz.
+        F: system matrix, 1/s; it may have a leading run axis, as may the others.
+        Q_s: spectral density of w, unit²/Hz.
         dt: step, s.
-        G: `(n, k)` or `(run, n, k)`; the identity by default.
+        G: noise input matrix; default the identity.
 
     Returns:
-        Φ and Q, each `(n, n)` or `(run, n, n)`.
+        Φ and Q.
 
     Raises:
         DimensionError: Q_s does not fit F and G.
@@ -46,8 +51,8 @@ def van_loan(F: Array, Q_s: Array, dt: float, G: Array | None = None) -> tuple[A
     return Phi, 0.5 * (Q + Q.mT)
 
 
-def white_acceleration(dt: float, q: ArrayLike, held: bool = False) -> Array:
-    """Q `(2 k, 2 k)` of (positions, velocities) under white acceleration on k axes.
+def white_acceleration(dt: float, q: ArrayLike, held: bool = False) -> Float[Array, "n n"]:
+    """Q of k positions and k velocities, n = 2 k, under white acceleration.
 
     Continuous (Bar-Shalom, Li & Kirubarajan 2001, sec. 6.2.2):
     q [[dt³/3, dt²/2], [dt²/2, dt]]; held (sec. 6.3.2): (q/dt) γ γᵀ with γ = (dt²/2, dt).
@@ -55,13 +60,13 @@ def white_acceleration(dt: float, q: ArrayLike, held: bool = False) -> Array:
     Args:
         dt: step, s.
         q: spectral density of the acceleration `()` or `(k,)`, (m/s²)²/Hz.
-        held: whether the acceleration is constant over a step.
+        held: whether the acceleration is constant over the step.
     """
     return _integrated(2, dt, q, held)
 
 
-def white_jerk(dt: float, q: ArrayLike, held: bool = False) -> Array:
-    """Q `(3 k, 3 k)` of (positions, velocities, accelerations) under white jerk on k axes.
+def white_jerk(dt: float, q: ArrayLike, held: bool = False) -> Float[Array, "n n"]:
+    """Q of k positions, velocities and accelerations, n = 3 k, under white jerk.
 
     Continuous (Bar-Shalom, Li & Kirubarajan 2001, sec. 6.2.3): q times
     [[dt⁵/20, dt⁴/8, dt³/6], [dt⁴/8, dt³/3, dt²/2], [dt³/6, dt²/2, dt]];
@@ -70,22 +75,22 @@ def white_jerk(dt: float, q: ArrayLike, held: bool = False) -> Array:
     Args:
         dt: step, s.
         q: spectral density of the jerk `()` or `(k,)`, (m/s³)²/Hz.
-        held: whether the jerk is constant over a step.
+        held: whether the jerk is constant over the step.
     """
     return _integrated(3, dt, q, held)
 
 
 def scheduled(times: Sequence[float], values: ArrayLike) -> Callable[[float], Array]:
-    """A matrix that changes in time: `values[i]` from `times[i]` on, `values[0]` before.
+    """A piecewise constant matrix: `values[i]` from `times[i]` on, `values[0]` before.
 
-    For the Q_s(t) or R(t) of a `ContinuousFunctionModel`.
+    It serves as the Q_s(t) or R(t) of a `ContinuousFunctionModel`.
 
     Args:
         times: increasing, s.
         values: `(len(times), n, n)`.
 
     Raises:
-        DimensionError: times are not increasing or not as many as values.
+        DimensionError: times do not increase, or their number differs from that of the values.
     """
     starts, stack = np.asarray(times, np.float64), np.asarray(values, np.float64)
     if starts.ndim != 1 or len(starts) != len(stack) or np.any(np.diff(starts) <= 0):
@@ -97,9 +102,10 @@ def scheduled(times: Sequence[float], values: ArrayLike) -> Callable[[float], Ar
 
 
 def _integrated(order: int, dt: float, q: ArrayLike, held: bool) -> Array:
-    """Q of a chain of `order` integrators a coordinate, driven by white noise of density q.
+    """Q of a chain of `order` integrators per coordinate, driven by white noise of density q.
 
-    The state's i-th block responds to a unit impulse s ago by s^p/p!, p = order - 1 - i.
+    The response of the i-th block of the state, a time s after a unit impulse, is s^p/p! with
+    p = order - 1 - i.
     """
     density = np.atleast_1d(np.asarray(q, np.float64))
     if not (density >= 0).all() or not dt > 0:

@@ -1,29 +1,36 @@
-"""Which coordinates of the state the sensors can see, by the linearized observability Gramian."""
+"""Unobservable coordinates of the state, by the linearized observability Gramian."""
 
 import numpy as np
 
 from estbench.errors import ScenarioError
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
 def unseen(
-    model: Model, x: Array, u: Array, dt: float, scale: Array, steps: int = 200, share: float = 1e-9
+    model: Model,
+    x: Float[Array, " nx"],
+    u: Float[Array, " nu"],
+    dt: float,
+    scale: Float[Array, " n"],
+    steps: int = 200,
+    share: float = 1e-9,
 ) -> list[str]:
-    """Names of the coordinates that lie in the unobservable subspace about a nominal state.
+    """Names of the coordinates that lie in the unobservable subspace at a nominal state.
 
-    The Gramian Σ Φᵏᵀ Hᵀ R⁻¹ H Φᵏ is scaled by the prior standard deviations, so that its
-    eigenvalues are information in units of the prior's; a direction with less than `share` of the
-    largest is unseen, and so is a coordinate with half its squared length in such directions.
+    The Gramian Σ Φᵏᵀ Hᵀ R⁻¹ H Φᵏ is scaled by the prior standard deviations: its eigenvalues are
+    information relative to the prior. A direction is unobservable if its eigenvalue is below
+    `share` of the largest. A coordinate is unobservable if more than half of its squared length
+    lies in such directions.
 
     Args:
         model: the filter's model.
-        x: nominal state `(nx,)`.
-        u: nominal control `(nu,)`.
+        x: nominal state.
+        u: nominal control.
         dt: filter step, s.
-        scale: prior standard deviation of each coordinate `(n,)`.
-        steps: length of the window.
-        share: relative eigenvalue that counts as nothing.
+        scale: prior standard deviation of each coordinate.
+        steps: number of terms of the sum.
+        share: relative eigenvalue below which a direction is unobservable.
     """
     xs, us = x[None], u[None]
     _, F = model.transition_jacobian(xs, us, 0.0, dt)
@@ -38,7 +45,7 @@ def unseen(
         seen = white @ power
         gramian += seen.T @ seen
         power = step @ power
-        power /= max(1.0, np.abs(power).max())  # an unstable mode must not drown the others
+        power /= max(1.0, np.abs(power).max())  # an unstable mode must not dominate the sum
     values, vectors = np.linalg.eigh(gramian)
     hidden = vectors[:, values <= share * max(values.max(), 1e-300)]
     weight = (hidden**2).sum(axis=1)

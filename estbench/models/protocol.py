@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 
 Channels = Sequence[str] | None
@@ -12,10 +12,10 @@ Channels = Sequence[str] | None
 
 @runtime_checkable
 class Model(Protocol):
-    """What an estimator may ask of a model. Times in s; every array has a leading run axis.
+    """The methods that an estimator may call on a model. Times are in s.
 
-    `x` may be `(run, nx)` or `(run, point, nx)`; `u` is `(run, nu)` and is held over the interval.
-    A row that cannot be computed (a simulation that blew up) comes back as NaN.
+    `x` may be `(run, nx)` or `(run, point, nx)`; `u` is `(run, nu)` and is constant over the
+    interval. A row that cannot be computed (the simulation diverged) is NaN in the result.
     """
 
     @property
@@ -25,35 +25,51 @@ class Model(Protocol):
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         ...
 
     def output(self, channels: Channels = None) -> Manifold:
         """The measurement's manifold for the channels that deliver."""
         ...
 
-    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """f: the state after `dt` from time `t`, without noise; shape of `x`."""
+    def transition(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float
+    ) -> Float[Array, "*lead nx"]:
+        """f: the state at t + dt, without noise."""
         ...
 
-    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
-        """f(x) `(run, nx)` and Φ = ∂f/∂x `(run, n, n)` between the tangents at x and at f(x)."""
+    def transition_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
+        """f(x) and Φ = ∂f/∂x, from the tangent at x to that at f(x)."""
         ...
 
-    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """Q, the covariance of w `(n, n)` or `(run, n, n)` in the tangent at f(x)."""
+    def process_noise(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Float[Array, "... n n"]:
+        """Q, the covariance of w in the tangent at f(x); one, or one per run."""
         ...
 
-    def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
-        """h: the measurement `(..., ny)` without noise."""
+    def measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
+        """h: the measurement without noise."""
         ...
 
     def measurement_jacobian(
-        self, x: Array, u: Array, t: float, channels: Channels = None
-    ) -> tuple[Array, Array]:
-        """h(x) `(run, ny)` and H = ∂h/∂x `(run, m, n)` from the tangent at x to that at h(x)."""
+        self,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
+        """h(x) and H = ∂h/∂x, from the tangent at x to that at h(x)."""
         ...
 
-    def measurement_noise(self, t: float, channels: Channels = None) -> Array:
-        """R, the covariance of v `(m, m)` or `(run, m, m)` in the tangent at h(x)."""
+    def measurement_noise(self, t: float, channels: Channels = None) -> Float[Array, "... m m"]:
+        """R, the covariance of v in the tangent at h(x); one, or one per run."""
         ...

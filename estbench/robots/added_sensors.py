@@ -1,4 +1,4 @@
-"""Sensors that a scenario or an environment adds to a robot without touching its MJCF."""
+"""Sensors that a scenario or an environment adds to a robot; the MJCF file is not changed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ SENSOR_TYPES = {
     for name in dir(mujoco.mjtSensor)
     if name.startswith("mjSENS_")
 }
-# Which kind of object a sensor of the type is attached to, where it is not a site.
+# Kind of object that a sensor type is attached to, if it is not a site.
 _OBJECTS = {
     "joint": "joint",
     "ball": "joint",
@@ -20,7 +20,7 @@ _OBJECTS = {
     "actuator": "actuator",
     "subtree": "body",
 }
-# Attached to nothing, or to whatever their author says.
+# Types without an object, or with one of any kind.
 _FREE = ("clock", "e_potential", "e_kinetic", "user", "plugin")
 
 
@@ -33,16 +33,16 @@ def object_kind(sensor: Any) -> str:
 def check_object(
     sensor: Any, names: Mapping[str, Sequence[str]], where: str, robot: str = "the model"
 ) -> None:
-    """Refuse a sensor at an object that is not there.
+    """Refuse a sensor at an object that does not exist.
 
     Args:
         sensor: see `sections.AddSensor`.
-        names: kind of object -> names of those there are; other kinds are left to MuJoCo.
+        names: kind of object -> names of the existing objects; MuJoCo checks other kinds.
         where: the setting that names the object.
-        robot: what has those objects, for the message.
+        robot: the owner of the objects, for the message.
 
     Raises:
-        ScenarioError: there is no such object; the message says which there are.
+        ScenarioError: the object does not exist; the message lists those that do.
     """
     kind = object_kind(sensor).removeprefix("x")  # an xbody is a body
     if sensor.type in _FREE or kind not in names or sensor.object in names[kind]:
@@ -62,10 +62,10 @@ def add(
     """Add sensors to a robot's description.
 
     Args:
-        spec: it is changed.
+        spec: the description; it is changed.
         sensors: name -> object with `type`, `object`, `object_type` (see `sections.AddSensor`).
-        robot: what the description is of, for messages.
-        where: the setting that adds a sensor of a name, for messages.
+        robot: name of the robot, for messages.
+        where: the setting that adds the sensor, with `{}` for its name, for messages.
 
     Raises:
         ScenarioError: a sensor's type or object is unknown, or its name is taken.

@@ -3,16 +3,17 @@
 Another engine is one more class with these methods, and one more case in `create`.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from estbench.robots.batch import BatchBackend
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int
 
 
+@runtime_checkable
 class Backend(Protocol):
     """Steps, sensor readings and rates of many states of one MuJoCo model, row by row.
 
@@ -35,24 +36,34 @@ class Backend(Protocol):
         ...
 
     def step(
-        self, x: Array, u: Array, t: float | Array, nstep: int, force: Array | None = None
-    ) -> Array:
-        """States `(..., nx)` after `nstep` physics steps of the model's timestep.
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        nstep: int,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead nx"]:
+        """States after `nstep` physics steps of the model's timestep.
 
         Args:
             x: states `(run, nx)` or `(run, point, nx)`.
             u: controls `(run, nu)` or `(run, point, nu)`, broadcast over the points; not clamped.
             t: time at the start, s; one number, or one per row `(run, 1)`.
             nstep: number of physics steps, at least 1.
-            force: generalized forces, N or N m, broadcast to `(..., nv)` and held over the steps;
-                None for none.
+            force: generalized forces, N or N m, broadcast over the leading axes and constant over
+                the steps; None for none.
         """
         ...
 
     def read(
-        self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
-    ) -> Array:
-        """Noise-free sensor readings `(..., len(columns))` at x, in the units of the sensors.
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        stage: int,
+        columns: Int[NDArray[np.intp], " m"],
+    ) -> Float[Array, "*lead m"]:
+        """Noise-free sensor readings at x, in the units of the sensors.
 
         Args:
             x: as for `step`.
@@ -60,26 +71,34 @@ class Backend(Protocol):
             t: as for `step`.
             stage: the last forward stage (`mjtStage`) that is computed; see
                 `measurement.needed_stage`.
-            columns: columns of `sensordata` `(m,)`.
+            columns: columns of `sensordata`.
         """
         ...
 
-    def flow(self, x: Array, u: Array, t: float | Array, force: Array | None = None) -> Array:
-        """Rates ẋ = (q̇, q̈, ȧ) `(..., n)` at x by the whole forward dynamics, per s.
+    def flow(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead n"]:
+        """Rates ẋ = (q̇, q̈, ȧ) at x by the complete forward dynamics, per s.
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space. The
         arguments are those of `step`.
         """
         ...
 
-    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
+    def vary(
+        self, count: int, field: str, index: int | slice, values: Float[Array, "count ..."]
+    ) -> None:
         """Give each row its own value of a model parameter, in every later call of `count` rows.
 
         Args:
             count: number of rows.
             field: field of `MjModel`, e.g. `body_mass`.
             index: which of the field's elements.
-            values: one value per row `(count, ...)`.
+            values: one value per row.
         """
         ...
 

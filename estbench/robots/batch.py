@@ -1,7 +1,7 @@
-"""Many states of one model as rows of `mujoco.batch.Batch`: step them, read their sensors and flow.
+"""The backend on MuJoCo's own batch: every state is one row of a `mujoco.batch.Batch`.
 
-This is the only file that touches `mujoco.batch`. A row that cannot be computed (not finite, too
-large, an engine error) comes back as NaN: MuJoCo's own answer would be a silent reset.
+This is the only file that imports `mujoco.batch`. A row that cannot be computed (not finite, too
+large, an engine error) is NaN in the result; MuJoCo itself would reset it without an error.
 """
 
 import math
@@ -13,7 +13,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from estbench.robots import flags, library
-from estbench.shapes import Array, Mask
+from estbench.shapes import Array, Float, Int, Mask
 from estbench.spaces.linalg import surely_finite
 
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -45,14 +45,14 @@ class BatchBackend:
             start = (probe.bind(field).ctypes.data - address) // 8
             return slice(start, start + width)
 
-        # In the state row qpos, qvel and act follow each other: x is one block of columns.
+        # In a row of the state qpos, qvel and act are consecutive: x is one block of columns.
         self._x = columns("qpos", self.nx)
         self._time = columns("time", 1)
         self._ctrl = columns("ctrl", model.nu)
         self._force = columns("qfrc_applied", model.nv)
 
     def batch(self, count: int, use: flags.Use = "step") -> Batch:
-        """The batch of `count` rows for a use, with zero forces."""
+        """The batch of `count` rows for a use; its applied forces are zero."""
         if (count, use) not in self._batches:
             if use not in self._models:
                 self._models[use] = flags.reduced(self.model, use)
@@ -66,9 +66,11 @@ class BatchBackend:
         """Restore the settings of the MuJoCo library, unless another backend is open."""
         self._settings()
 
-    def vary(self, count: int, field: str, index: int | slice, values: Array) -> None:
-        """Give each of `count` rows its own value of a model parameter `(count, ...)`."""
-        if not self._varied:  # the parameter may be what switches a constraint on
+    def vary(
+        self, count: int, field: str, index: int | slice, values: Float[Array, "count ..."]
+    ) -> None:
+        """See `Backend.vary`."""
+        if not self._varied:  # the parameter may enable a constraint
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
             self._varied = True
         for use in self._models:
@@ -77,17 +79,14 @@ class BatchBackend:
             batch.set_const()
 
     def step(
-        self, x: Array, u: Array, t: float | Array, nstep: int, force: Array | None = None
-    ) -> Array:
-        """States `(..., nx)` after `nstep` physics steps.
-
-        Args:
-            x: `(run, nx)` or `(run, point, nx)`.
-            u: controls, broadcast against x's leading axes: `(run, nu)` or `(run, point, nu)`.
-            t: time at the start, s; `(run, 1)` where the runs differ.
-            nstep: physics steps.
-            force: generalized forces `(run, point, nv)` held over the steps.
-        """
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        nstep: int,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead nx"]:
+        """See `Backend.step`."""
         batch, rows, bad = self._load(x, u, t, "step")
         if force is not None:
             rows[..., self._force] = force
@@ -100,9 +99,14 @@ class BatchBackend:
         return out
 
     def read(
-        self, x: Array, u: Array, t: float | Array, stage: int, columns: NDArray[np.intp]
-    ) -> Array:
-        """Sensor readings `(..., len(columns))` at x, by the forward stages up to `stage`."""
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        stage: int,
+        columns: Int[NDArray[np.intp], " m"],
+    ) -> Float[Array, "*lead m"]:
+        """See `Backend.read`."""
         slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
         batch, _, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
         bad = self._run(batch, bad, 0, stage)
@@ -111,11 +115,14 @@ class BatchBackend:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], len(columns))
 
-    def flow(self, x: Array, u: Array, t: float | Array, force: Array | None = None) -> Array:
-        """Rates (q̇, q̈, ȧ) `(..., 2 nv + na)` at x by the whole forward dynamics; see `step`.
-
-        q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space.
-        """
+    def flow(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+        force: Float[Array, "... nv"] | None = None,
+    ) -> Float[Array, "*lead n"]:
+        """See `Backend.flow`."""
         batch, rows, bad = self._load(x, u, t, "step")
         derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
         if force is not None:
@@ -132,7 +139,7 @@ class BatchBackend:
     def _load(
         self, x: Array, u: Array, t: float | Array, use: flags.Use
     ) -> tuple[Batch, Array, Mask | None]:
-        """Write states and controls; rows that are not finite are parked at rest and returned."""
+        """Write states and controls; a row that is not finite is set to rest and is in the mask."""
         lead = x.shape[:-1]
         batch = self.batch(math.prod(lead), use)
         rows = batch.state.reshape(*lead, -1)
@@ -149,7 +156,7 @@ class BatchBackend:
         return batch, rows, bad
 
     def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
-        """Step or run forward; the mask of rows without a result, or None."""
+        """Step, or compute forward stages; the mask of the rows without a result, or None."""
         failed: Mask | None = None
         try:
             if nstep:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,12 +13,12 @@ class ControlRange:
     """The `ctrlrange` of every actuator of a model.
 
     Attributes:
-        low: lowest control `(nu,)`; -inf where there is no limit.
-        high: highest control `(nu,)`; inf where there is no limit.
+        low: lowest control; -inf where there is no limit.
+        high: highest control; inf where there is no limit.
     """
 
-    low: Array
-    high: Array
+    low: Float[Array, " nu"]
+    high: Float[Array, " nu"]
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> "ControlRange":
@@ -29,6 +29,6 @@ class ControlRange:
             np.where(limited, model.actuator_ctrlrange[:, 1], np.inf),
         )
 
-    def clamp(self, u: Array) -> Array:
-        """Controls `(..., nu)` clipped to the range, as MuJoCo would clip them."""
+    def clamp(self, u: Float[Array, "*lead nu"]) -> Float[Array, "*lead nu"]:
+        """Controls clipped to the range, as MuJoCo would clip them."""
         return np.minimum(np.maximum(u, self.low), self.high)

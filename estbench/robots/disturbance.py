@@ -1,14 +1,14 @@
-"""The random disturbance on a MuJoCo model: what the truth draws is what the filter's Q describes.
+"""The random disturbance of a MuJoCo model, as the truth draws it and as Q of the filter.
 
 Over an interval dt the disturbance is N(0, ·) with covariance made from the spectral density Q_s:
 
-- `additive`: w ~ N(0, Q_s dt) in the tangent, x ⊞ w at the interval's end. The filter's Q is exact.
-- `force`: generalized forces ~ N(0, Q_s/dt), held over the interval.
-- `actuator`: ~ N(0, Q_s/dt) added to the (clamped) controls, held over the interval.
+- `additive`: w ~ N(0, Q_s dt) in the tangent, x ⊞ w at the end of the interval; Q is exact.
+- `force`: generalized forces ~ N(0, Q_s/dt), constant over the interval.
+- `actuator`: N(0, Q_s/dt) added to the clamped controls, constant over the interval.
 
 For the last two Q = Γ Γᵀ, where column j of Γ is the change of the end state under the j-th column
-of a factor of Q_s/dt: the model's own response to one standard deviation of the disturbance. In
-continuous time (`intensity`) the same is G Q_s Gᵀ, with G = ∂ẋ/∂w.
+of a factor of Q_s/dt: the response of the model to one standard deviation of the disturbance. In
+continuous time (`intensity`) it is G Q_s Gᵀ, with G = ∂ẋ/∂w.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ import numpy as np
 from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
 from estbench.robots.layout import actuator_names
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import (
     is_positive_semidefinite,
     psd_factor,
@@ -40,17 +40,17 @@ class Disturbance:
 
     Attributes:
         kind: where it enters.
-        density: Q_s `(k, k)`, k = n, nv or nu by kind.
-        factor: a square root of Q_s with only its nonzero columns `(k, rank)`.
-        schedule: over time, taken at an interval's start, a factor on Q_s (one, or one a coordinate
-            `(k,)`: Q_s then is D Q_s D with D² the factors) or Q_s itself `(k, k)`; None for a
-            constant.
-        scale: what Q_s is multiplied by where the schedule gives Q_s itself.
+        density: Q_s; k = n, nv or nu by kind.
+        factor: a square root of Q_s, its nonzero columns only.
+        schedule: a function of the time at the start of the interval. It returns a factor on Q_s
+            (one, or one per coordinate `(k,)`: Q_s becomes D Q_s D with D² the factors), or Q_s
+            itself `(k, k)`. None: Q_s is constant.
+        scale: factor on Q_s where the schedule returns Q_s itself.
     """
 
     kind: Kind
-    density: Array
-    factor: Array
+    density: Float[Array, "k k"]
+    factor: Float[Array, "k rank"]
     schedule: Callable[[float], float | Array] | None = None
     scale: float = 1.0
 
@@ -66,7 +66,7 @@ class Disturbance:
         """From a diagonal `density` per name, or a full `matrix`.
 
         Raises:
-            DimensionError: wrong count of values.
+            DimensionError: wrong number of values.
             CovarianceError: a density is negative or the matrix not positive semidefinite.
         """
         names = {
@@ -96,11 +96,11 @@ class Disturbance:
 
     @property
     def rank(self) -> int:
-        """Count of independent white noises."""
+        """Number of independent white noises."""
         return self.factor.shape[1]
 
     def scaled(self, scale: float) -> "Disturbance":
-        """The disturbance with Q_s times `scale`."""
+        """The disturbance with Q_s multiplied by `scale`."""
         return replace(
             self,
             density=scale * self.density,
@@ -109,15 +109,15 @@ class Disturbance:
         )
 
     def scheduled(self, schedule: Callable[[float], float | Array]) -> "Disturbance":
-        """The disturbance over time; that of t = 0 takes the constant's place if it is a matrix."""
+        """The disturbance with a schedule; if that gives Q_s, its value at t = 0 is the density."""
         first = schedule(0.0)
         if np.ndim(first) < 2:
             return replace(self, schedule=schedule)
-        density = np.asarray(first)  # of full rank: a coordinate may come to life later
+        density = np.asarray(first)  # all columns: one that is zero now may not be so later
         return replace(self, density=density, factor=psd_factor(density), schedule=schedule)
 
-    def root(self, t: float) -> Array:
-        """A square root of Q_s at t `(k, rank)`."""
+    def root(self, t: float) -> Float[Array, "k rank"]:
+        """A square root of Q_s at t."""
         if self.schedule is None:
             return self.factor
         value = np.asarray(self.schedule(t))
@@ -134,13 +134,15 @@ class Disturbance:
             return self.scale * value
         return rescaled(self.density, np.sqrt(value))
 
-    def sample(self, white: Array, t: float | Array, dt: float | Array) -> Array:
-        """The disturbance `(run, k)` over [t, t + dt] from standard normals `(run, rank)`.
+    def sample(
+        self, white: Float[Array, "run rank"], t: float | Array, dt: float | Array
+    ) -> Float[Array, "run k"]:
+        """The disturbance over [t, t + dt].
 
         Args:
-            white: standard normals `(run, rank)`.
-            t: start of the interval, s; `(run, 1)` where the runs differ, as has then dt.
-            dt: its length, s.
+            white: standard normal numbers.
+            t: start of the interval, s; one number, or one per run `(run, 1)`.
+            dt: length of the interval, s; as for `t`.
         """
         size = np.sqrt(dt) if self.kind == "additive" else np.sqrt(1.0 / dt)
         if self.schedule is None or isinstance(t, float):
@@ -152,9 +154,16 @@ class Disturbance:
         return out * size
 
     def covariance(
-        self, backend: Backend, space: Manifold, x: Array, u: Array, t: float, dt: float, nstep: int
-    ) -> Array:
-        """Q `(n, n)` or `(run, n, n)` over dt at x `(run, nx)`."""
+        self,
+        backend: Backend,
+        space: Manifold,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+        dt: float,
+        nstep: int,
+    ) -> Float[Array, "... n n"]:
+        """Q over dt at x; one, or one per run."""
         if self.kind == "additive":
             return self._density(t) * dt
         if not self.rank:
@@ -164,11 +173,19 @@ class Disturbance:
         response = space.minus(ends[:, 1:], ends[:, :1])
         return response.mT @ response
 
-    def intensity(self, backend: Backend, space: Manifold, x: Array, u: Array, t: float) -> Array:
-        """Q_s of the noise on ẋ, `(n, n)` or `(run, n, n)`, at x `(run, nx)`: G Q_s Gᵀ.
+    def intensity(
+        self,
+        backend: Backend,
+        space: Manifold,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+    ) -> Float[Array, "... n n"]:
+        """The spectral density G Q_s Gᵀ of the noise on ẋ at x; one, or one per run.
 
-        G is the slope of ẋ over one standard deviation of the disturbance held for a physics step;
-        ẋ is linear in it but for contacts and the gains of some actuators.
+        G is the slope of ẋ over one standard deviation of the disturbance, constant over one
+        physics step. ẋ is linear in the disturbance except for contacts and the gains of some
+        actuators.
         """
         if self.kind == "additive":
             return self._density(t)
@@ -181,7 +198,7 @@ class Disturbance:
         return response.mT @ response
 
     def _pushed(self, x: Array, u: Array, root: Array) -> tuple[Array, Array, Array | None]:
-        """States, controls and forces of rows without and with each column of a root of Q_s."""
+        """States, controls and forces: the undisturbed row, then one row per column of root."""
         columns = np.concatenate([np.zeros((1, len(root))), root.T])
         points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
         if self.kind == "force":

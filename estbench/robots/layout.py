@@ -10,7 +10,7 @@ from estbench.spaces.manifold import Manifold
 FREE, BALL, SLIDE, HINGE = range(4)
 _QUATERNION = int(mujoco.mjtDataType.mjDATATYPE_QUATERNION)
 
-# Unit by MuJoCo sensor type; what is missing is dimensionless or the user's own.
+# Unit by MuJoCo sensor type; other types are dimensionless or defined by the user.
 SENSOR_UNITS = {
     "touch": "N", "accelerometer": "m/s²", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
     "torque": "N m", "magnetometer": "T", "rangefinder": "m", "camprojection": "pixel",
@@ -29,7 +29,7 @@ _AXES = ("x", "y", "z")
 
 
 def object_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, prefix: str) -> str:
-    """The object's own name, or prefix and index when the MJCF gives none."""
+    """Name of an object; prefix and index if the MJCF gives none."""
     return mujoco.mj_id2name(model, kind, index) or f"{prefix}{index}"
 
 
@@ -42,8 +42,9 @@ def actuator_names(model: mujoco.MjModel) -> tuple[str, ...]:
 def state_space(model: mujoco.MjModel) -> Manifold:
     """The manifold of x = (qpos, qvel, act).
 
-    A hinge or slide joint J gives `J` and `J.vel`; a ball joint `J.rx` ... and `J.wx` ...; a free
-    joint `J.x` ... `J.rx` ... and `J.vx` ... `J.wx` .... An activation is `actuator.act`.
+    The coordinates of a hinge or slide joint J are `J` and `J.vel`; of a ball joint `J.rx` ... and
+    `J.wx` ...; of a free joint `J.x` ... `J.rx` ... and `J.vx` ... `J.wx` .... An activation is
+    `actuator.act`.
     """
     names: list[str] = [""] * (2 * model.nv + model.na)
     units: list[str] = list(names)
@@ -71,7 +72,7 @@ def state_space(model: mujoco.MjModel) -> Manifold:
 
 
 def state_names(space: Manifold) -> tuple[str, ...]:
-    """Name of each number of a state `(nx,)`: as its coordinate; a quaternion J.qw, ..., J.qz."""
+    """Name of each number of a state: that of its coordinate, or J.qw, ..., J.qz."""
     names = list(space.names)
     for start in sorted(space.quaternions[:, 1].tolist(), reverse=True):
         joint = names[start].removesuffix(".rx")
@@ -85,12 +86,12 @@ def sensor_type(model: mujoco.MjModel, index: int) -> str:
 
 
 def sensor_name(model: mujoco.MjModel, index: int) -> str:
-    """The sensor's name, or its type and index when the MJCF gives none."""
+    """Name of a sensor; type and index if the MJCF gives none."""
     return object_name(model, mujoco.mjtObj.mjOBJ_SENSOR, index, f"{sensor_type(model, index)}_")
 
 
 def sensor_unit(model: mujoco.MjModel, index: int) -> str:
-    """Unit of a sensor's tangent coordinates."""
+    """Unit of the tangent coordinates of a sensor."""
     kind = sensor_type(model, index)
     if kind in _JOINT_SENSORS:
         slide, hinge = _JOINT_SENSORS[kind]
@@ -99,12 +100,12 @@ def sensor_unit(model: mujoco.MjModel, index: int) -> str:
 
 
 def suffixes(n: int) -> list[str]:
-    """What tells the n numbers of one reading apart, after its name."""
+    """Suffixes of the names of the n components of one reading."""
     return [""] if n == 1 else [f".{a}" for a in _AXES] if n == 3 else [f".{k}" for k in range(n)]
 
 
 def sensor_space(model: mujoco.MjModel, sensors: Sequence[int]) -> Manifold:
-    """The manifold of several sensors' readings, one after the other."""
+    """The manifold of the concatenated readings of several sensors."""
     names: list[str] = []
     units: list[str] = []
     quaternions = []

@@ -1,4 +1,4 @@
-"""Where a channel's noise-free reading comes from: MuJoCo sensors, or a user's function."""
+"""The noise-free reading of a channel: from MuJoCo sensors, or from a function of the user."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import ScenarioError, user_error_location
 from estbench.robots import layout
 from estbench.robots.backend import Backend
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int
 from estbench.spaces.manifold import Manifold, product
 
 StateFunction = Callable[[Array, Array, float], Array]
@@ -19,14 +19,14 @@ StateFunction = Callable[[Array, Array, float], Array]
 
 @dataclass(frozen=True, eq=False)
 class Measurand:
-    """One channel's noise-free reading.
+    """The noise-free reading of one channel.
 
     Attributes:
         space: the manifold of the reading.
-        sensors: MuJoCo sensors, read one after the other.
-        axes: which of the numbers that they read; None is all. No part of a quaternion.
-        function: in their place, a function of the state.
-        name: of the function, for messages.
+        sensors: MuJoCo sensors whose readings are concatenated.
+        axes: indices of the components that are read; None for all. Not those of a quaternion.
+        function: a function of the state that replaces the sensors.
+        name: name of the function, for messages.
     """
 
     space: Manifold
@@ -39,23 +39,25 @@ class Measurand:
     def of_sensors(
         cls, model: mujoco.MjModel, *sensors: int, axes: Sequence[int] | None = None
     ) -> "Measurand":
-        """The readings of some sensors of a model, or some axes of them."""
+        """The readings of MuJoCo sensors, or some components of them."""
         space = layout.sensor_space(model, sensors)
         if axes is None:
             return cls(space, sensors)
         names, units = (tuple(values[i] for i in axes) for values in (space.names, space.units))
         return cls(Manifold(names, units), sensors, tuple(axes))
 
-    def columns(self, model: mujoco.MjModel) -> NDArray[np.intp]:
-        """Where the reading stands in sensordata."""
+    def columns(self, model: mujoco.MjModel) -> Int[NDArray[np.intp], " m"]:
+        """Columns of `sensordata` that hold the reading."""
         columns = sensor_columns(model, self.sensors)
         return columns if self.axes is None else columns[list(self.axes)]
 
-    def call(self, x: Array, u: Array, t: float) -> Array:
-        """The function at states `(..., nx)`, checked.
+    def call(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
+    ) -> Float[Array, "*lead m"]:
+        """Call the function and check the shape of its result.
 
         Raises:
-            ScenarioError: it raised, or returned another shape.
+            ScenarioError: the function raised, or returned another shape.
         """
         assert self.function is not None
         u = np.broadcast_to(u if u.ndim == x.ndim else u[:, None], (*x.shape[:-1], u.shape[-1]))
@@ -75,17 +77,17 @@ class Measurand:
 
 
 class Plan:
-    """How to read some channels together: one pass of MuJoCo for all of its sensors, or none.
+    """How to read several channels together, with at most one call of the backend.
 
     Args:
         model: compiled MuJoCo model.
-        sources: one a channel, in order.
+        sources: one per channel, in order.
 
     Attributes:
         space: the manifold of the readings.
-        known: where the readings are numbers of the state and nothing else (joint encoders and
-            tachometers): which of x `(ny,)`, and the Jacobian H `(ny, n)`; else None.
-        reach: how many tangent coordinates, from the first on, the readings can depend on.
+        known: if every reading is a component of the state (joint encoders and tachometers), the
+            indices of these components `(ny,)` and the Jacobian H `(ny, n)`; else None.
+        reach: the readings depend on the first `reach` tangent coordinates only.
         timed: whether a reading is a function of the user's, which is given the time.
     """
 
@@ -98,12 +100,18 @@ class Plan:
         self._sources = tuple(sources) if any(s.function for s in sources) else ()
         self.known = None if self._sources else _coordinates(model, sensors, self._columns)
         nv, na = model.nv, model.na
-        reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position shows no velocity
+        reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position does not depend on velocities
         self.reach = reach[-1] if self._sources else reach[self._stage]
         self.timed = bool(self._sources)
 
-    def read(self, backend: Backend, x: Array, u: Array, t: float | Array) -> Array:
-        """Noise-free readings `(..., ny)` at states `(..., nx)`, one channel after the other."""
+    def read(
+        self,
+        backend: Backend,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float | Array,
+    ) -> Float[Array, "*lead ny"]:
+        """Noise-free readings at states x, those of the channels concatenated in order."""
         if self.known is not None:
             return x[..., self.known[0]]
         if not self._sources:
@@ -141,8 +149,8 @@ def _coordinates(
     return pairs[:, 0], np.eye(2 * model.nv + model.na)[pairs[:, 1]]
 
 
-def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> NDArray[np.intp]:
-    """Columns of sensordata that hold the sensors' readings, in order."""
+def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> Int[NDArray[np.intp], " m"]:
+    """Columns of `sensordata` that hold the readings of the sensors, in order."""
     parts = [np.arange(model.sensor_dim[i]) + model.sensor_adr[i] for i in sensors]
     return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
 
@@ -155,6 +163,6 @@ def needed_stage(model: mujoco.MjModel, sensors: Sequence[int]) -> int:
 def _stage(model: mujoco.MjModel, sensor: int) -> int:
     stage = int(model.sensor_needstage[sensor])
     if model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_E_KINETIC:
-        # Declared as position stage, but its velocity part is then another row's.
+        # MuJoCo declares the position stage, but the velocities are then those of another row.
         stage = max(stage, int(mujoco.mjtStage.mjSTAGE_VEL))
     return stage

@@ -15,7 +15,7 @@ from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots import added_sensors
 from estbench.robots.flags import set_flags
 from estbench.robots.parameters import changed
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -26,10 +26,10 @@ INTEGRATORS = {
 
 
 def locate(path: str) -> Path:
-    """The file of `package:path/in/package` or of a plain path.
+    """The file at `package:path/in/package` or at a plain path.
 
     Raises:
-        ScenarioError: the package is not installed, or there is no such file.
+        ScenarioError: the package is not installed, or the file does not exist.
     """
     package, colon, inside = path.partition(":")
     if colon and len(package) > 1:  # one letter is a Windows drive
@@ -75,15 +75,17 @@ def compile_model(
 ) -> mujoco.MjModel:
     """Compile without delays and histories, and apply the overrides.
 
-    MuJoCo's own sensor `interval`, `delay` and `nsample` are cleared: estbench applies rates and
-    delays itself, on noise-free readings. Actuator delays cannot be cleared without changing the
-    robot, so they are refused.
+    The sensor attributes `interval`, `delay` and `nsample` of MuJoCo are cleared: estbench applies
+    rates and delays itself, to noise-free readings. Actuator delays cannot be cleared without a
+    change of the robot, so they are refused.
 
     Raises:
-        ScenarioError: it does not compile, has actuator delays, or an override names nothing.
+        ScenarioError: the MJCF does not compile, has actuator delays, or an override names no
+            parameter.
     """
     try:
-        # Before the copy: `MjSpec.copy` drops, without a word, whatever refers to nothing.
+        # Before the copy: `MjSpec.copy` drops elements with an invalid reference and reports
+        # nothing.
         spec.compile()
         spec = spec.copy()
         for sensor in spec.sensors:
@@ -107,13 +109,15 @@ def compile_model(
     return model
 
 
-def keyframe(model: mujoco.MjModel, key: str | int | None) -> tuple[Array, Array]:
-    """State (qpos, qvel, act) `(nx,)` and control `(nu,)` of a keyframe.
+def keyframe(
+    model: mujoco.MjModel, key: str | int | None
+) -> tuple[Float[Array, " nx"], Float[Array, " nu"]]:
+    """State (qpos, qvel, act) and control of a keyframe.
 
-    None takes the first keyframe, or without one qpos0 at rest and zero control.
+    None is the first keyframe; if there is no keyframe, qpos0 at rest with zero control.
 
     Raises:
-        ScenarioError: there is no such keyframe.
+        ScenarioError: the keyframe does not exist.
     """
     names = [model.key(i).name for i in range(model.nkey)]
     if key is None:

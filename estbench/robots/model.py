@@ -13,7 +13,7 @@ from estbench.robots import backend, layout
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import rescaled
 from estbench.spaces.manifold import Manifold
 
@@ -37,14 +37,14 @@ class SensorChannel:
 
     name: str
     index: int
-    cov: Array
+    cov: Float[Array, "m m"]
     scale: Scale | None = None
     measurand: Measurand | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Selection:
-    """What is needed to read a set of channels: what they read, and R."""
+    """A set of channels: the plan to read them, and R."""
 
     plan: Plan
     R: Array
@@ -54,8 +54,8 @@ class _Selection:
 class MujocoModel:
     """x⁺ = `mj_step`ᵏ(x, u) ⊞ w, y = sensordata(x, u) ⊞ v.
 
-    A transition over dt is dt/timestep physics steps; only the forward stage that the channels in
-    use need is computed for a measurement. Jacobians are differences of whole steps in the tangent
+    A transition over dt is dt/timestep physics steps. A measurement computes the forward stages
+    that its channels need, no more. Jacobians are differences of complete steps in the tangent
     space, so every integrator, actuator and sensor type works. It is a `ContinuousModel` too.
 
     Args:
@@ -63,8 +63,8 @@ class MujocoModel:
         channels: the sensors in use.
         disturbance: process noise.
         differences: scheme and step of the Jacobians.
-        nthread: threads of the batch.
-        u0: nominal control `(nu,)`, about which a `KF` linearizes; default zeros.
+        nthread: number of threads of the backend.
+        u0: nominal control, about which a `KF` linearizes; default zeros.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class MujocoModel:
         disturbance: Disturbance,
         differences: Differences | None = None,
         nthread: int = 1,
-        u0: Array | None = None,
+        u0: Float[Array, " nu"] | None = None,
     ):
         self.mjmodel = model
         self.u0 = np.zeros(model.nu) if u0 is None else u0
@@ -95,51 +95,73 @@ class MujocoModel:
 
     @property
     def nu(self) -> int:
-        """Count of controls."""
+        """Number of controls."""
         return self.mjmodel.nu
 
     def output(self, channels: Channels = None) -> Manifold:
         """The manifold of the channels' readings."""
         return self._select(channels).plan.space
 
-    def transition(self, x: Array, u: Array, t: float, dt: float) -> Array:
-        """X after dt/timestep physics steps; NaN where MuJoCo could not go on."""
+    def transition(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float
+    ) -> Float[Array, "*lead nx"]:
+        """The state after dt/timestep physics steps; NaN where MuJoCo cannot compute it."""
         return self._backend.step(x, self._clamp(u), t, self.steps(dt))
 
-    def transition_jacobian(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array]:
-        """f(x) and Φ by differences of whole transitions."""
+    def transition_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
+        """f(x) and Φ by differences of complete transitions."""
         return self.differences.jacobian(
             lambda points: self.transition(points, u, t, dt), self._space, self._space, x
         )
 
-    def process_noise(self, x: Array, u: Array, t: float, dt: float) -> Array:
+    def process_noise(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Float[Array, "... n n"]:
         """Q of the disturbance over dt."""
         return self.disturbance.covariance(
             self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
         )
 
-    def flow(self, x: Array, u: Array, t: float) -> Array:
-        """ẋ = (q̇, q̈, ȧ) `(..., n)` of the forward dynamics, without what the integrator adds."""
+    def flow(
+        self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
+    ) -> Float[Array, "*lead n"]:
+        """ẋ = (q̇, q̈, ȧ) of the forward dynamics, without the corrections of the integrator."""
         return self._backend.flow(x, self._clamp(u), t)
 
-    def flow_jacobian(self, x: Array, u: Array, t: float) -> tuple[Array, Array]:
+    def flow_jacobian(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float
+    ) -> tuple[Float[Array, "run n"], Float[Array, "run n n"]]:
         """ẋ and ∂ẋ(x ⊞ δ)/∂δ by differences."""
         return self.differences.jacobian(
             lambda points: self.flow(points, u, t), self._space, self._rates, x
         )
 
-    def spectral_density(self, x: Array, u: Array, t: float) -> Array:
+    def spectral_density(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float
+    ) -> Float[Array, "... n n"]:
         """Q_s of the disturbance as noise on ẋ."""
         return self.disturbance.intensity(self._backend, self._space, x, self._clamp(u), t)
 
-    def measurement(self, x: Array, u: Array, t: float, channels: Channels = None) -> Array:
-        """The readings at x under the control u, undisturbed."""
+    def measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        u: Float[Array, "... nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
+        """The readings at x under the control u, without disturbance or noise."""
         return self._select(channels).plan.read(self._backend, x, self._clamp(u), t)
 
     def measurement_jacobian(
-        self, x: Array, u: Array, t: float, channels: Channels = None
-    ) -> tuple[Array, Array]:
-        """h(x) and H, by differences where the readings are more than numbers of the state."""
+        self,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
+        """h(x) and H, by differences unless every reading is a component of the state."""
         plan = self._select(channels).plan
         if plan.known is not None:
             point, H = plan.known
@@ -149,7 +171,7 @@ class MujocoModel:
             self._space, plan.space, x, plan.reach,
         )  # fmt: skip
 
-    def measurement_noise(self, t: float, channels: Channels = None) -> Array:
+    def measurement_noise(self, t: float, channels: Channels = None) -> Float[Array, "... m m"]:
         """R, block-diagonal over the channels."""
         chosen = self._select(channels)
         if not chosen.scales:
@@ -160,7 +182,7 @@ class MujocoModel:
         return R
 
     def steps(self, dt: float) -> int:
-        """Physics steps in dt.
+        """Number of physics steps in dt.
 
         Raises:
             ScenarioError: dt is not a positive multiple of the timestep.
@@ -207,7 +229,7 @@ class MujocoModel:
 
 
 def whole_steps(dt: float, timestep: float, what: str) -> int:
-    """Dt as a count of physics steps.
+    """The number of physics steps in dt.
 
     Raises:
         ScenarioError: dt is not a positive multiple of the timestep.

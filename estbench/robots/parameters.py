@@ -1,7 +1,7 @@
-"""Parameters of a compiled model by name: finding, setting and drawing them.
+"""Parameters of a compiled model by name: find, set and draw them.
 
-MuJoCo checks masses when it compiles an MJCF; a parameter that is set afterwards it takes as it
-comes. What no robot can have is refused here.
+MuJoCo checks masses when it compiles an MJCF, but not a parameter that is set afterwards. Values
+that are physically impossible are refused here.
 """
 
 import copy
@@ -15,12 +15,12 @@ from estbench.errors import ScenarioError, did_you_mean
 from estbench.shapes import Array
 
 LIMIT = 4.5
-"""Standard deviations beyond which no parameter is drawn: 7 normal draws in a million are."""
+"""Draws are limited to so many standard deviations; 7 of a million normal draws exceed them."""
 
 SETTINGS = re.compile(r"(contype|conaffinity|condim|priority|limited|gravcomp|active0)$")
 """Integer fields that may be set on a compiled model; the rest are types, addresses and counts."""
 
-# Damping and stiffness may be negative: some mean it.
+# Damping and stiffness may be negative on purpose.
 _NOT_NEGATIVE = {
     "body_mass", "body_inertia", "dof_armature", "dof_frictionloss", "tendon_armature",
     "tendon_frictionloss", "actuator_armature", "geom_size", "geom_friction",
@@ -40,10 +40,10 @@ _N = {"body": "body", "geom": "geom", "actuator": "u", "tendon": "tendon", "site
 
 
 def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | slice]:
-    """Field name and row(s) of `field.object`, e.g. `body_mass.pole`, `dof_damping.hinge`.
+    """Field name and index of `field.object`, e.g. `body_mass.pole`, `dof_damping.hinge`.
 
     Raises:
-        ScenarioError: unknown field or object.
+        ScenarioError: the field or the object does not exist.
     """
     field, _, name = key.partition(".")
     prefix = field.split("_")[0]
@@ -68,12 +68,13 @@ def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | s
 def changed(
     model: mujoco.MjModel, settings: Mapping[str, float | Sequence[float]], where: str
 ) -> mujoco.MjModel:
-    """A copy of a compiled model with `field.object` -> value set and what follows from it.
+    """A copy of a compiled model with parameters `field.object` -> value, and derived constants.
 
-    Without any setting it is the model itself.
+    Without settings it is the model itself.
 
     Raises:
-        ScenarioError: settings name nothing, or have values that no robot can have; all are named.
+        ScenarioError: a parameter does not exist, or a value is physically impossible; the message
+            names all of them.
     """
     if not settings:
         return model
@@ -84,7 +85,7 @@ def changed(
             assigned[key] = value
         except ScenarioError as error:
             mistakes.append(str(error))
-    for key, value in assigned.items():  # a body may have its mass from one welded to it
+    for key, value in assigned.items():  # a body may get its mass from a body that is welded to it
         wrong = flaw(model, *parameter(model, key, where))
         if wrong:
             mistakes.append(f"{where}: '{key}' is {value}: {wrong}; change it, or leave it out")
@@ -97,7 +98,7 @@ def changed(
 def assign(
     model: mujoco.MjModel, key: str, value: float | Sequence[float], where: str = "set"
 ) -> None:
-    """Set `field.object` of a compiled model; a scalar fills a row."""
+    """Set `field.object` of a compiled model; a scalar sets every element of a vector."""
     field, rows = parameter(model, key, where)
     target = getattr(model, field)
     try:
@@ -113,10 +114,11 @@ def assign(
 
 
 def check_draw(model: mujoco.MjModel, key: str, relative_std: float, std: float) -> None:
-    """Refuse a parameter drawn so widely that some run's robot could not be.
+    """Refuse a distribution from which a physically impossible parameter may be drawn.
 
     Raises:
-        ScenarioError: the key names nothing, or the lowest value that may be drawn is no robot's.
+        ScenarioError: the parameter does not exist, or the lowest value that may be drawn is
+            impossible.
     """
     field, rows = parameter(model, key, "truth.draw")
     model = copy.copy(model)
@@ -131,19 +133,19 @@ def check_draw(model: mujoco.MjModel, key: str, relative_std: float, std: float)
 
 
 def drawn(nominal: Array, relative_std: float, std: float, z: Array) -> Array:
-    """Values nominal (1 + relative_std z) + std z `(run, ...)` of standard normals z `(run,)`.
+    """Values nominal (1 + relative_std z) + std z `(run, ...)` from standard normals z `(run,)`.
 
-    z beyond ± `LIMIT` is taken as ± `LIMIT`, so that `flaw` at the lowest value holds for all.
+    z is limited to ± `LIMIT`, so that a check of the lowest value by `flaw` holds for all.
     """
     z = np.clip(z, -LIMIT, LIMIT).reshape(-1, *([1] * np.ndim(nominal)))
     return nominal * (1 + relative_std * z) + std * z
 
 
 def flaw(model: mujoco.MjModel, field: str, rows: int | slice) -> str | None:
-    """What is wrong with a parameter that has been set, in words; None where a robot can have it.
+    """Why the value of a parameter is impossible; None if it is possible.
 
-    A moving body has mass and inertia, its own or that of the bodies welded to it, as MuJoCo's
-    compiler wants it.
+    A moving body must have mass and inertia, its own or that of the bodies welded to it, as in
+    MuJoCo's compiler.
     """
     value = getattr(model, field)[rows]
     if field in _NOT_NEGATIVE and (value < 0).any():

@@ -1,4 +1,4 @@
-"""Smoothers as estimators: a filter that, when the run is over, looks back with all it has seen."""
+"""Smoothers as estimators: a filter whose beliefs are smoothed when the run is over."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
 from estbench.estimators.settings import in_range, table, whole
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
@@ -22,10 +22,10 @@ from estbench.smoothers.urts import urts
 
 @dataclass(frozen=True)
 class FilterThenSmooth(OverFilter):
-    """What the smoothers share: `base` filters, a subclass's `smooth` looks back.
+    """Base of the smoothers: the filter `base`, and `smooth` of a subclass.
 
-    Innovations, NIS and the estimate that a controller sees are the filter's; errors, NEES and RMSE
-    are the smoother's.
+    Innovations, NIS and the estimate that a controller receives are those of the filter; errors,
+    NEES and RMSE are those of the smoother.
 
     Attributes:
         model: the filter's model.
@@ -48,15 +48,15 @@ class FilterThenSmooth(OverFilter):
             )
         object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))
 
-    def init(self, mean: Array, cov: Array) -> Any:
+    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
         """The filter's start."""
         return self._filter.init(mean, cov)
 
-    def mean(self, belief: Any) -> Array:
+    def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, filtered or smoothed."""
         return belief.mean if type(belief) is Gaussian else self._filter.mean(belief)
 
-    def cov(self, belief: Any) -> Array:
+    def cov(self, belief: Any) -> Float[Array, "run n n"]:
         """P `(run, n, n)`, filtered or smoothed."""
         return belief.cov if type(belief) is Gaussian else self._filter.cov(belief)
 
@@ -89,8 +89,8 @@ class URTS(FilterThenSmooth):
 
     See `estbench.smoothers.urts.urts`.
 
-    Cost per step: the filter's, and one transition a sigma point (2 n + 1) and one Q. Choose it
-    where you would choose the UKF.
+    Cost per step: that of the filter, one transition per sigma point (2 n + 1), and one Q. Choose
+    it where you would choose the UKF.
     """
 
     base: str = "ukf"
@@ -111,12 +111,12 @@ class MAP(FilterThenSmooth):
     window of one step is an iterated filter and one of the whole run the batch solution.
 
     Cost per step: the filter's, then as many Jacobians of f and h as iterations, and a sparse
-    solution a run, which is the greater part. Choose it as the reference that no filter beats.
+    solution per run, which dominates. Choose it as the reference that no filter beats.
 
     Attributes:
-        window: s; default the whole run.
-        iterations: most linearizations.
-        tolerance: a run is done when no coordinate moves by more, in its unit.
+        window: length of a window, s; default the complete run.
+        iterations: maximal number of linearizations.
+        tolerance: a run has converged when no coordinate changes by more, in its own unit.
     """
 
     bases: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys((*RTS.bases, *URTS.bases)))

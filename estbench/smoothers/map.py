@@ -19,29 +19,29 @@ from estbench.estimators.linear import without_absent
 from estbench.estimators.protocol import Measurement
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 from estbench.smoothers.rts import check_lengths
 from estbench.spaces.linalg import quadratic_form, symmetrize
 from estbench.spaces.manifold import carry
 
 _SMALLEST = 2.0**-6
-"""A step is halved this far while the cost rises, then taken all the same."""
+"""Smallest factor to which a step is halved while the cost rises; such a step is then accepted."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapEstimate:
-    """The trajectory and how it was found.
+    """The trajectory and the course of the iteration.
 
     Attributes:
-        beliefs: a Gaussian a time: the mode, and the covariance of the linearized problem (zero if
-            it was not asked for).
-        iterations: linearizations a run took `(run,)`.
-        converged: whether the last step of a run was below the tolerance `(run,)`.
+        beliefs: one Gaussian per time: the mode, and the covariance of the linearized problem (zero
+            if it was not asked for).
+        iterations: number of linearizations of each run.
+        converged: whether the last step of each run was below the tolerance.
     """
 
     beliefs: list[Gaussian]
-    iterations: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    iterations: Int[Ints, " run"]
+    converged: Bool[Mask, " run"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,21 +62,21 @@ class _System:
 def map_estimate(
     model: Model,
     prior: Gaussian,
-    controls: Sequence[Array],
+    controls: Sequence[Float[Array, "run nu"]],
     times: Sequence[float],
     measurements: Sequence[Sequence[Measurement]],
     *,
-    start: Sequence[Array] | None = None,
+    start: Sequence[Float[Array, "run nx"]] | None = None,
     iterations: int = 20,
     tolerance: float = 1e-9,
     covariance: bool = True,
 ) -> MapEstimate:
     """The most probable trajectory at `times` of a whole run or of a window.
 
-    Cost: K transition and K + 1 measurement Jacobians a Gauss-Newton step, and a sparse solution a
-    run; the covariances take n further substitutions a time. Choose it as the reference that no
-    filter beats, and where linearizing once (RTS) is not enough. A step that raises the cost is
-    halved; start from a filter's means where the model bends strongly.
+    Cost: K transition and K + 1 measurement Jacobians per Gauss-Newton step, and a sparse solution
+    per run; the covariances take n further substitutions per time. Choose it as the reference that
+    no filter beats, and where linearizing once (RTS) is not enough. A step that raises the cost is
+    halved; start from a filter's means where the model is strongly nonlinear.
 
     Args:
         model: the filter's model.
@@ -84,9 +84,9 @@ def map_estimate(
         controls: K controls `(run, nu)`, held from one time to the next.
         times: K + 1 instants in s.
         measurements: what arrived at each time: none, one, or several.
-        start: K + 1 states `(run, nx)`; default the prior mean carried along by the model.
-        iterations: most linearizations, halvings included.
-        tolerance: a run is done when no coordinate moves by more than this, in its own unit.
+        start: K + 1 states `(run, nx)`; default the prior mean propagated by the model.
+        iterations: maximal number of linearizations, including halvings.
+        tolerance: a run has converged when no coordinate changes by more, in its own unit.
         covariance: whether to compute the covariances.
 
     Raises:
@@ -242,7 +242,7 @@ def _solve(
 
 
 def _covariances(system: _System, states: int, n: int, active: NDArray[np.bool_]) -> Array:
-    """Diagonal blocks `(run, time, n, n)` of (Jᵀ W⁻¹ J)⁻¹, a time at a time."""
+    """Diagonal blocks `(run, time, n, n)` of (Jᵀ W⁻¹ J)⁻¹, time by time."""
     runs, rows = system.residual.shape
     out = np.full((runs, states, n, n), np.nan)
     for run, factor in _factors(system, states, n, active):

@@ -10,15 +10,18 @@ from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ukf import failed_factor
 from estbench.estimators.update import apply_correction
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import cholesky, solve_lower, solve_lower_transposed, symmetrize
 from estbench.spaces.manifold import Manifold
 
 
 def rts(
-    model: Model, posteriors: Sequence[Any], controls: Sequence[Array], times: Sequence[float]
+    model: Model,
+    posteriors: Sequence[Any],
+    controls: Sequence[Float[Array, "run nu"]],
+    times: Sequence[float],
 ) -> list[Gaussian]:
-    """Smoothed beliefs at `times` from the filter's posteriors, backwards by the model's Jacobian.
+    """Smoothed beliefs at `times` from the posteriors of the filter, by the Jacobian of the model.
 
     Cost: one transition Jacobian and one Q for each interval. Choose it after a KF, EKF, IEKF or
     their square-root forms; it linearizes at the filtered means and does not iterate (see
@@ -31,7 +34,7 @@ def rts(
         times: K + 1 instants in s.
 
     Returns:
-        K + 1 Gaussians; a run that failed in the filter has failed at all times.
+        K + 1 Gaussians; a run that failed in the filter is failed at all times.
 
     Raises:
         DimensionError: the lists' lengths do not fit.
@@ -48,18 +51,23 @@ def rts(
 
 
 def smooth_step(
-    space: Manifold, now: Gaussian, mean: Array, cov: Array, cross: Array, later: Gaussian
+    space: Manifold,
+    now: Gaussian,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
+    cross: Float[Array, "run n n"],
+    later: Gaussian,
 ) -> Gaussian:
     """One step backwards: G = cross P⁻⁻¹, x̂ˢ = x̂ ⊞ G (x̂ˢ₊ ⊖ x̂⁻), Pˢ = P + G (Pˢ₊ - P⁻) Gᵀ.
 
     Args:
         space: the state's manifold.
         now: the filter's posterior.
-        mean: x̂⁻ of the next time `(run, nx)`.
-        cov: P⁻ of the next time `(run, n, n)`.
-        cross: Cov(x, x₊) `(run, n, n)`, P Φᵀ for a linearized model.
-        later: the smoothed belief of the next time; its covariance is carried to the tangent at
-            x̂⁻ first, and the result to that at x̂ˢ.
+        mean: x̂⁻ of the next time.
+        cov: P⁻ of the next time.
+        cross: Cov(x, x₊), P Φᵀ for a linearized model.
+        later: the smoothed belief of the next time; its covariance is first mapped to the tangent
+            at x̂⁻, and the result to that at x̂ˢ.
     """
     lower = cholesky(cov)
     half = solve_lower(lower, cross.mT)
@@ -77,8 +85,10 @@ def gaussian(belief: Any) -> Gaussian:
     return Gaussian(belief.mean, belief.cov, belief.fault)
 
 
-def check_lengths(states: Sequence[Any], controls: Sequence[Array], times: Sequence[float]) -> None:
-    """Raise unless there is one state more than controls, and one a time."""
+def check_lengths(
+    states: Sequence[Any], controls: Sequence[Float[Array, "run nu"]], times: Sequence[float]
+) -> None:
+    """Raise unless there is one state per time, and one control less."""
     if not len(states) == len(times) == len(controls) + 1:
         raise DimensionError(
             f"{len(states)} beliefs, {len(controls)} controls and {len(times)} times do not fit; "

@@ -6,7 +6,7 @@ from typing import Any
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.smoothers.rts import check_lengths, gaussian, smooth_step
 from estbench.spaces.linalg import cholesky, symmetrize
 
@@ -14,14 +14,14 @@ from estbench.spaces.linalg import cholesky, symmetrize
 def urts(
     model: Model,
     posteriors: Sequence[Any],
-    controls: Sequence[Array],
+    controls: Sequence[Float[Array, "run nu"]],
     times: Sequence[float],
     rule: SigmaPoints | None = None,
 ) -> list[Gaussian]:
     """Smoothed beliefs at `times`, backwards by sigma points drawn from each posterior.
 
-    Cost: one transition a sigma point (2 n + 1) and one Q for each interval. Choose it after a UKF
-    or cubature filter, with the same rule. On a linear model it is the batch least-squares
+    Cost: one transition per sigma point (2 n + 1) and one Q for each interval. Choose it after a
+    UKF or cubature filter, with the same rule. On a linear model it is the batch least-squares
     solution.
 
     Args:

@@ -1,1 +1,1 @@
-"""The spaces that states and readings live in: manifolds, rotations, small batched matrices."""
+"""Spaces of states and readings: manifolds, rotations, batched linear algebra."""

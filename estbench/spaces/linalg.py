@@ -1,4 +1,4 @@
-"""Batched linear algebra on stacks of small matrices; a failure becomes NaN in its own row only.
+"""Batched linear algebra on stacks of small matrices; a row that fails becomes NaN, others do not.
 
 numpy has no batched triangular solve and scipy's is a Python loop over the stack, so the two
 substitutions below are vectorized over the stack and loop over the (small) matrix order.
@@ -8,62 +8,61 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
 _HALF = np.array(0.5)
-"""A Python number would be converted at every call, which is half of it for one small matrix."""
+"""A Python number would be converted at every call: half of the cost for one small matrix."""
 
 
 def quiet() -> np.errstate:
-    """No warnings of numpy about numbers that are not finite: what fails is marked."""
+    """Suppress numpy's warnings about numbers that are not finite: such rows are marked failed."""
     return np.errstate(invalid="ignore", over="ignore", divide="ignore")
 
 
 @lru_cache(maxsize=64)
-def identity(n: int) -> Array:
-    """I `(n, n)`, made once and read-only: `np.eye` costs a microsecond."""
+def identity(n: int) -> Float[Array, "n n"]:
+    """I, cached and read-only: `np.eye` costs a microsecond."""
     eye = np.eye(n)
     eye.flags.writeable = False
     return eye
 
 
-def pad_absent(cov: Array, mask: NDArray[np.bool_]) -> Array:
-    """A covariance with the rows and columns of the identity where nothing arrived `(run, m, m)`.
+def pad_absent(cov: Float[Array, "*any m m"], mask: Bool[Mask, "run m"]) -> Float[Array, "run m m"]:
+    """A covariance with the rows and columns of the identity where no component arrived.
 
-    So what did not arrive is a reading of its own, uncorrelated with the rest.
+    A component that did not arrive then has variance 1 and no correlation with the others.
 
     Args:
-        cov: `(run, m, m)` or `(m, m)`.
-        mask: `(run, m)`, True where a component arrived.
+        cov: one covariance, or one per run.
+        mask: True where a component arrived.
     """
     return np.where(mask[:, :, None] & mask[:, None, :], cov, identity(mask.shape[-1]))
 
 
-def symmetrize(a: Array) -> Array:
-    """(A + Aᵀ)/2 of `(..., n, n)`."""
+def symmetrize(a: Float[Array, "*any n n"]) -> Float[Array, "*any n n"]:
+    """(A + Aᵀ)/2."""
     return _HALF * (a + a.mT)
 
 
 def surely_finite(*arrays: Array) -> bool:
-    """Whether every number is finite, at a third of `np.isfinite(...).all()`'s cost.
+    """Whether every number is finite, at a third of the cost of `np.isfinite(...).all()`.
 
-    False may also mean that squares or the sum overflow (above 1e150): ask numpy then.
+    False may also mean that the squares or the sum overflow (above 1e150): then use `np.isfinite`.
     """
-    # A long dot product would start BLAS threads, which fight with the batches' own.
+    # A long dot product would start BLAS threads, which compete with those of the batches.
     for a in arrays:  # noqa: SIM110  (a generator costs as much as the sum)
         if not math.isfinite(np.vdot(a, a) if a.size < 4096 else a.sum()):
             return False
     return True
 
 
-def cholesky(a: Array) -> Array:
-    """Lower Cholesky factors `(run, n, n)`; NaN where a matrix has none.
+def cholesky(a: Float[Array, "run n n"]) -> Float[Array, "run n n"]:
+    """Lower Cholesky factors; NaN where a matrix has none.
 
     numpy raises for the whole stack when one matrix is not positive definite. The stack is then
-    halved until the culprits stand alone, so the usual case pays nothing and a failure costs
-    O(log run) further calls.
+    halved until each such matrix is alone. A stack without failures costs nothing more; each
+    failure costs O(log run) further calls.
     """
     try:
         lower = np.asarray(np.linalg.cholesky(a), np.float64)
@@ -83,8 +82,10 @@ def cholesky(a: Array) -> Array:
     return lower
 
 
-def solve_lower(lower: Array, b: Array) -> Array:
-    """L⁻¹ B by forward substitution; L `(run, m, m)` lower triangular, B `(run, m, k)`."""
+def solve_lower(
+    lower: Float[Array, "*any m m"], b: Float[Array, "*other m k"]
+) -> Float[Array, "... m k"]:
+    """L⁻¹ B by forward substitution, for a lower triangular L."""
     x = np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
     for i in range(lower.shape[-1]):
         row = b[..., i, :]
@@ -94,8 +95,10 @@ def solve_lower(lower: Array, b: Array) -> Array:
     return x
 
 
-def solve_lower_transposed(lower: Array, b: Array) -> Array:
-    """L⁻ᵀ B by back substitution; L `(run, m, m)` lower triangular, B `(run, m, k)`."""
+def solve_lower_transposed(
+    lower: Float[Array, "*any m m"], b: Float[Array, "*other m k"]
+) -> Float[Array, "... m k"]:
+    """L⁻ᵀ B by back substitution, for a lower triangular L."""
     x = np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
     m = lower.shape[-1]
     for i in reversed(range(m)):
@@ -106,42 +109,48 @@ def solve_lower_transposed(lower: Array, b: Array) -> Array:
     return x
 
 
-def row_product(rows: Array, factor: Array) -> Array:
-    """Each row v of `(run, k)` as F v `(run, n)`, for F `(n, k)`.
+def row_product(rows: Float[Array, "run k"], factor: Float[Array, "n k"]) -> Float[Array, "run n"]:
+    """F v for each row v.
 
-    BLAS rounds the product of one row otherwise than that of many: one row is taken twice.
+    BLAS rounds the product of a single row differently from that of several rows: a single row is
+    therefore multiplied as two equal rows.
     """
     if len(rows) == 1:
         return (rows.repeat(2, axis=0) @ factor.T)[:1]
     return rows @ factor.T
 
 
-def weighted(weights: Array, points: Array) -> Array:
-    """Σ wᵢ pᵢ `(..., k)` for weights `(point,)` or `(..., point)` and points `(..., point, k)`."""
+def weighted(
+    weights: Float[Array, "... point"], points: Float[Array, "*any point k"]
+) -> Float[Array, "*any k"]:
+    """Σ wᵢ pᵢ, with one set of weights `(point,)` or one per stack `(..., point)`."""
     return weights @ points if weights.ndim == 1 else (weights[..., None, :] @ points)[..., 0, :]
 
 
-def quadratic_form(cov: Array, v: Array) -> Array:
-    """vᵀ P⁻¹ v `(run,)` for P `(run, n, n)`, v `(run, n)`; NaN where P has no Cholesky factor."""
+def quadratic_form(
+    cov: Float[Array, "*any n n"], v: Float[Array, "*any n"]
+) -> Float[Array, "*any"]:
+    """vᵀ P⁻¹ v; NaN where P has no Cholesky factor."""
     white = solve_lower(cholesky(cov), v[..., None])[..., 0]
     return np.vecdot(white, white)
 
 
-def psd_factor(a: Array) -> Array:
-    """A square root S `(n, n)` with S Sᵀ = A for one symmetric positive semidefinite A.
+def psd_factor(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """A square root S with S Sᵀ = A for one symmetric positive semidefinite A.
 
-    By eigenvalues, since a process noise is often singular (no noise on the positions).
+    It is computed from the eigenvalues, since Q is often singular (no noise on the positions).
     """
     values, vectors = np.linalg.eigh(symmetrize(a))
     return vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
-def rescaled(a: Array, value: float | Array) -> Array:
-    """A covariance A `(n, n)` by what it is to be times: D A D, or the value itself if a matrix.
+def rescaled(a: Float[Array, "n n"], value: float | Array) -> Float[Array, "n n"]:
+    """The covariance D A D with a diagonal D, or another covariance in place of A.
 
     Args:
-        a: the covariance.
-        value: D, one number or one a coordinate `(n,)`; or what is in the place of A `(n, n)`.
+        a: the covariance A.
+        value: the diagonal of D, one number or one per coordinate `(n,)`; or the covariance
+            `(n, n)` that replaces A.
     """
     if np.ndim(value) == 2:
         return np.asarray(value)
@@ -149,14 +158,14 @@ def rescaled(a: Array, value: float | Array) -> Array:
     return a * np.outer(size, size)
 
 
-def is_positive_semidefinite(a: Array) -> bool:
-    """Whether one matrix `(n, n)` is symmetric without negative eigenvalues, but for rounding."""
+def is_positive_semidefinite(a: Float[Array, "n n"]) -> bool:
+    """Whether one matrix is symmetric and has no negative eigenvalue beyond rounding errors."""
     if not (np.isfinite(a).all() and np.allclose(a, a.T)):
         return False
     smallest = np.linalg.eigvalsh(a).min(initial=0.0)
     return bool(smallest >= -1e-12 * max(1.0, np.abs(a).max(initial=0.0)))
 
 
-def is_positive_definite(a: Array) -> bool:
-    """Whether one symmetric matrix `(n, n)` has a Cholesky factor."""
+def is_positive_definite(a: Float[Array, "n n"]) -> bool:
+    """Whether one symmetric matrix has a Cholesky factor."""
     return bool(np.isfinite(cholesky(a[None])).all() and np.allclose(a, a.T, rtol=1e-9, atol=0))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int
 from estbench.spaces import rotation
 from estbench.spaces.linalg import weighted
 
@@ -25,20 +25,22 @@ class Manifold:
     """A product of real lines, circles and unit quaternions.
 
     Attributes:
-        names: name of each tangent coordinate, `(n,)`.
-        units: unit of each tangent coordinate, `(n,)`.
-        quaternions: `(nquat, 2)` integers: where each quaternion starts in the point, and where its
-            rotation vector starts in the tangent, in order. Every other coordinate is a real line,
-            or a circle.
-        angles: tangent coordinates that are angles on a circle, in rad: a difference goes the short
-            way round, a point may have any number of turns.
+        names: name of each tangent coordinate.
+        units: unit of each tangent coordinate.
+        quaternions: for each quaternion, in order, its first index in the point and the first index
+            of its rotation vector in the tangent. Every other coordinate is a real line or a
+            circle.
+        angles: tangent coordinates that are angles on a circle, in rad. A difference of angles is
+            taken into [-π, π]; an angle of a point may be any real number.
         flat: whether ⊞ is plain addition.
         vector: whether ⊖ is plain subtraction too, as in R^n.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    quaternions: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    quaternions: Int[NDArray[np.intp], "quaternion 2"] = field(
+        default_factory=lambda: np.zeros((0, 2), np.intp)
+    )
     angles: tuple[int, ...] = ()
     flat: bool = field(init=False, repr=False)
     vector: bool = field(init=False, repr=False)
@@ -71,11 +73,11 @@ class Manifold:
         before = (self.quaternions[:, 1] < tangent[:, None]).sum(axis=1)
         object.__setattr__(self, "_circles", (tangent + before, tangent))
 
-    # Slices of the point and of the tangent: stretches of real lines, and the quaternions. Slices
-    # and not lists of indices, which numpy would gather and scatter at several times the cost.
+    # Slices of the point and of the tangent, for runs of real lines and for the quaternions. A
+    # slice is several times faster in numpy than a list of indices.
     _lines: list[tuple[slice, slice]] = field(init=False, repr=False)
     _turns: list[tuple[slice, slice]] = field(init=False, repr=False)
-    # Indices of the angles in the point and in the tangent: there are few.
+    # Indices of the angles in the point and in the tangent.
     _circles: tuple[NDArray[np.intp], NDArray[np.intp]] = field(init=False, repr=False)
 
     @classmethod
@@ -86,7 +88,7 @@ class Manifold:
         units: Sequence[str] | None = None,
         angles: Sequence[int] = (),
     ) -> "Manifold":
-        """R^n, or circles where there are `angles`; names default to x0, x1, ... and units to 1."""
+        """R^n, with circles at `angles`; default names are x0, x1, ..., the default unit is 1."""
         return cls(
             tuple(names) if names is not None else tuple(f"x{i}" for i in range(n)),
             tuple(units) if units is not None else ("1",) * n,
@@ -100,11 +102,13 @@ class Manifold:
 
     @property
     def nx(self) -> int:
-        """Count of numbers in a point."""
+        """Number of values in a point."""
         return self.n + len(self.quaternions)
 
-    def plus(self, x: Array, delta: Array) -> Array:
-        """X ⊞ δ: the point `(..., nx)` reached from x `(..., nx)` along δ `(..., n)`."""
+    def plus(
+        self, x: Float[Array, "... nx"], delta: Float[Array, "... n"]
+    ) -> Float[Array, "... nx"]:
+        """The point x ⊞ δ that is reached from x along the tangent vector δ."""
         if self.flat:
             return x + delta
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], delta.shape[:-1]), self.nx))
@@ -115,8 +119,8 @@ class Manifold:
             out[..., at] = rotation.normalize(turned)
         return out
 
-    def minus(self, x: Array, y: Array) -> Array:
-        """X ⊖ y `(..., n)`: the tangent vector at y with y ⊞ (x ⊖ y) = x."""
+    def minus(self, x: Float[Array, "... nx"], y: Float[Array, "... nx"]) -> Float[Array, "... n"]:
+        """The tangent vector x ⊖ y at y: y ⊞ (x ⊖ y) = x."""
         if self.vector:
             return x - y
         out = np.empty((*np.broadcast_shapes(x.shape[:-1], y.shape[:-1]), self.n))
@@ -130,11 +134,13 @@ class Manifold:
             out[..., to] = rotation.short_way(out[..., to])
         return out
 
-    def mean(self, points: Array, weights: Array) -> Array:
-        """Weighted mean `(..., nx)` of points `(..., point, nx)`: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
+    def mean(
+        self, points: Float[Array, "*any point nx"], weights: Float[Array, "... point"]
+    ) -> Float[Array, "*any nx"]:
+        """Weighted mean of points: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
 
-        Weights `(point,)` or `(..., point)`. See `rotation.mean` for the quaternions. Angles are
-        those that lie around the first point, within half a turn.
+        Quaternions are averaged by `rotation.mean`. Each angle is first taken to within π of that
+        of the first point.
         """
         mean = weighted(weights, points)
         if self.angles:
@@ -146,11 +152,11 @@ class Manifold:
             mean[..., at] = rotation.mean(points[..., at], weights)
         return mean
 
-    def reset_jacobian(self, delta: Array) -> Array:
-        """∂((x ⊞ (δ + e)) ⊖ (x ⊞ δ))/∂e at e = 0, `(..., n, n)`.
+    def reset_jacobian(self, delta: Float[Array, "*any n"]) -> Float[Array, "*any n n"]:
+        """J = ∂((x ⊞ (δ + e)) ⊖ (x ⊞ δ))/∂e at e = 0.
 
-        It carries a covariance from the tangent at x to the tangent at x ⊞ δ; the identity but for
-        the right Jacobian of each rotation vector.
+        It maps a covariance from the tangent at x to the tangent at x ⊞ δ. It is the identity
+        except for the right Jacobian of each rotation vector.
         """
         out = np.broadcast_to(np.eye(self.n), (*delta.shape[:-1], self.n, self.n)).copy()
         for start in self.quaternions[:, 1]:
@@ -158,12 +164,14 @@ class Manifold:
             out[..., block, block] = rotation.right_jacobian(delta[..., block])
         return out
 
-    def transport(self, cov: Array, delta: Array) -> Array:
-        """The covariance `(..., n, n)` in the tangent at x ⊞ δ, given that at x: J P Jᵀ."""
+    def transport(
+        self, cov: Float[Array, "*any n n"], delta: Float[Array, "*any n"]
+    ) -> Float[Array, "*any n n"]:
+        """J P Jᵀ: the covariance in the tangent at x ⊞ δ, from the covariance P at x."""
         if self.flat:
             return cov
         out = cov.copy()
-        for _, turn in self._turns:  # the rest of J is the identity
+        for _, turn in self._turns:  # elsewhere J is the identity
             jacobian = rotation.right_jacobian(delta[..., turn])
             out[..., turn, :] = jacobian @ out[..., turn, :]
             out[..., turn] = out[..., turn] @ jacobian.mT
@@ -175,7 +183,7 @@ class Manifold:
 
 
 def product(spaces: Sequence[Manifold]) -> Manifold:
-    """The manifold of points that stand one after the other."""
+    """The product manifold: its points are the points of `spaces`, concatenated."""
     names, units, quaternions, nx = [], [], [np.zeros((0, 2), np.intp)], 0
     angles: list[int] = []
     for space in spaces:
@@ -187,10 +195,22 @@ def product(spaces: Sequence[Manifold]) -> Manifold:
     return Manifold(tuple(names), tuple(units), np.concatenate(quaternions), tuple(angles))
 
 
-def carry(space: Manifold, shift: Array, H: Array, C: Array) -> tuple[Array, Array]:
-    """∂(y ⊞ c) with respect to a change of y (H) and of c (C), in the tangent at y ⊞ c.
+def carry(
+    space: Manifold,
+    shift: Float[Array, "run m"],
+    H: Float[Array, "... m n"],
+    C: Float[Array, "... m k"],
+) -> tuple[Float[Array, "run m n"], Float[Array, "run m k"]]:
+    """Jacobians of y ⊞ c in the tangent at y ⊞ c, from those of y and of c.
 
-    For a rotation vector c they are R(c)ᵀ = I - [c]× J_r(c) and J_r(c) (Solà 2017, eq. 183).
+    For a rotation vector c the factors are R(c)ᵀ = I - [c]× J_r(c) on H and J_r(c) on C (Solà 2017,
+    eq. 183).
+
+    Args:
+        space: the manifold of y.
+        shift: the value of c.
+        H: Jacobian of y.
+        C: Jacobian of c.
     """
     jacobian = space.reset_jacobian(shift)
     turn = np.broadcast_to(np.eye(space.n), jacobian.shape).copy()

@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
 def expand(
@@ -14,20 +14,21 @@ def expand(
     names: Sequence[str],
     what: str,
     default: float = 0.0,
-) -> Array:
-    """One number for each name `(len(names),)`.
+) -> Float[Array, " name"]:
+    """One number for each name.
 
-    A table's later patterns win over earlier ones; a name that none matches gets `default`.
+    In a table a later pattern overrides an earlier one; a name that no pattern matches gets
+    `default`.
 
     Args:
-        value: a number for all, one number each, or {pattern: number}.
-        names: the coordinates, actuators, ... it is about.
+        value: one number for all names, a list of one number per name, or {pattern: number}.
+        names: names of coordinates, actuators, ...
         what: name of the setting, for messages.
         default: value where no pattern matches.
 
     Raises:
-        DimensionError: a list of another length.
-        ScenarioError: a pattern that matches no name, or a value that is no number.
+        DimensionError: the list has another length.
+        ScenarioError: a pattern matches no name, or a value is not a number.
     """
     try:
         return _expanded(value, names, what, default)

@@ -6,12 +6,12 @@ Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter" (201
 
 import numpy as np
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import weighted
 
 
-def multiply(p: Array, q: Array) -> Array:
-    """Hamilton product p ⊗ q of quaternions `(..., 4)`."""
+def multiply(p: Float[Array, "... 4"], q: Float[Array, "... 4"]) -> Float[Array, "... 4"]:
+    """Hamilton product p ⊗ q of quaternions."""
     pw, px, py, pz = np.moveaxis(p, -1, 0)
     qw, qx, qy, qz = np.moveaxis(q, -1, 0)
     return np.stack(
@@ -25,13 +25,13 @@ def multiply(p: Array, q: Array) -> Array:
     )
 
 
-def conjugate(q: Array) -> Array:
-    """Inverse of a unit quaternion `(..., 4)`."""
+def conjugate(q: Float[Array, "... 4"]) -> Float[Array, "... 4"]:
+    """Inverse of a unit quaternion."""
     return q * np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def normalize(q: Array) -> Array:
-    """Scale quaternions `(..., 4)` to unit length; a zero quaternion becomes the identity."""
+def normalize(q: Float[Array, "... 4"]) -> Float[Array, "... 4"]:
+    """Scale quaternions to unit length; a zero quaternion becomes the identity."""
     norm = _length(q)
     zero = norm == 0  # a NaN stays a NaN
     return np.where(zero, np.array([1.0, 0.0, 0.0, 0.0]), q / np.where(zero, 1.0, norm))
@@ -41,8 +41,8 @@ def _length(v: Array) -> Array:
     return np.sqrt(np.vecdot(v, v))[..., None]
 
 
-def exp(phi: Array) -> Array:
-    """Quaternion `(..., 4)` of the rotation vector φ `(..., 3)` in rad."""
+def exp(phi: Float[Array, "*any 3"]) -> Float[Array, "*any 4"]:
+    """Quaternion of the rotation vector φ in rad."""
     angle = _length(phi)
     # np.sinc(z) = sin(πz)/(πz), hence sin(θ/2)/θ without a division by zero.
     return np.concatenate(
@@ -50,8 +50,8 @@ def exp(phi: Array) -> Array:
     )
 
 
-def log(q: Array) -> Array:
-    """Rotation vector `(..., 3)` in rad, |φ| <= π, of a unit quaternion; q and -q give the same."""
+def log(q: Float[Array, "*any 4"]) -> Float[Array, "*any 3"]:
+    """Rotation vector in rad, |φ| <= π, of a unit quaternion; q and -q have the same."""
     q = np.where(q[..., :1] < 0, -q, q)
     sine = _length(q[..., 1:])
     cosine = q[..., :1]
@@ -64,39 +64,41 @@ def log(q: Array) -> Array:
     return factor * q[..., 1:]
 
 
-def short_way(angle: Array) -> Array:
-    """The angle in [-π, π] that differs from it by whole turns, rad."""
+def short_way(angle: Float[Array, "*any"]) -> Float[Array, "*any"]:
+    """The equivalent angle in [-π, π], rad."""
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
 
 
-def mean(q: Array, weights: Array, iterations: int = 20) -> Array:
-    """Weighted mean m `(..., 4)` of unit quaternions `(..., point, 4)`: Σ wᵢ log(m⁻¹ ⊗ qᵢ) = 0.
+def mean(
+    q: Float[Array, "*any point 4"], weights: Float[Array, "... point"], iterations: int = 20
+) -> Float[Array, "*any 4"]:
+    """Weighted mean m of unit quaternions: Σ wᵢ log(m⁻¹ ⊗ qᵢ) = 0.
 
-    By Gauss-Newton from the first (Hertzberg et al. 2013, eq. 21), until every correction is below
-    1e-13 rad.
+    Computed by Gauss-Newton iterations from the first quaternion (Hertzberg et al. 2013, eq. 21),
+    until every correction is below 1e-13 rad.
     """
     q = normalize(q)
     mean = q[..., 0, :]
     for _ in range(iterations):
         delta = weighted(weights, log(multiply(conjugate(mean)[..., None, :], q)))
-        settled = (np.abs(delta) <= 1e-13).all(axis=-1, keepdims=True)
-        if (settled | np.isnan(mean[..., :1])).all():
+        converged = (np.abs(delta) <= 1e-13).all(axis=-1, keepdims=True)
+        if (converged | np.isnan(mean[..., :1])).all():
             break
-        # A settled row stays as it is, so that no row's mean depends on its neighbours.
-        mean = np.where(settled, mean, normalize(multiply(mean, exp(delta))))
+        # A converged row is not changed, so that the mean of a row depends on that row alone.
+        mean = np.where(converged, mean, normalize(multiply(mean, exp(delta))))
     return mean
 
 
-def skew(v: Array) -> Array:
-    """The matrix `(..., 3, 3)` of the cross product, v × w = S w with S = skew of v."""
+def skew(v: Float[Array, "*any 3"]) -> Float[Array, "*any 3 3"]:
+    """The matrix S of the cross product: v × w = S w."""
     x, y, z = np.moveaxis(v, -1, 0)
     o = np.zeros_like(x)
     rows = [np.stack(r, axis=-1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])]
     return np.stack(rows, axis=-2)
 
 
-def right_jacobian(phi: Array) -> Array:
-    """J_r(φ) `(..., 3, 3)`: log(exp(φ)⁻¹ ⊗ exp(φ + e)) = J_r(φ) e + O(e²) (Solà eq. 183)."""
+def right_jacobian(phi: Float[Array, "*any 3"]) -> Float[Array, "*any 3 3"]:
+    """J_r(φ): log(exp(φ)⁻¹ ⊗ exp(φ + e)) = J_r(φ) e + O(e²) (Solà eq. 183)."""
     angle = _length(phi)[..., None]
     small = angle < 1e-4
     t = np.where(small, 1.0, angle)

@@ -217,7 +217,7 @@ def test_constant_velocity_settles_at_alpha_and_beta(name):
     for _ in range(60):
         belief = filter.predict(belief, u, 0.0, 1.0)
         before = filter.mean(belief)
-        belief, innovation = filter.update(belief, C @ before[0] + 1.0, u, 0.0)
+        belief, innovation = filter.update(belief, before @ C.T + 1.0, u, 0.0)
     np.testing.assert_allclose(
         filter.cov(belief)[0], [[0.75, 0.5], [0.5, 1.0]], rtol=1e-10, atol=1e-10
     )
@@ -229,6 +229,6 @@ def test_constant_velocity_settles_at_alpha_and_beta(name):
 
 def test_marking_keeps_the_first_fault():
     belief = Gaussian(np.zeros((3, 1)), np.ones((3, 1, 1)), np.array([0, 2, 0], np.uint8))
-    after = mark_failed(belief, np.array([0, 3, 3]))
+    after = mark_failed(belief, np.array([0, 3, 3], np.uint8))
     assert after.fault.tolist() == [0, 2, 3]
     np.testing.assert_array_equal(np.isnan(after.mean[:, 0]), [False, True, True])

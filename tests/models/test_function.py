@@ -82,7 +82,9 @@ def test_what_it_is():
     assert model.space.names == ("a", "b")
     assert model.space.units == ("m", "m/s")
     assert (model.nu, model.output().n) == (2, 2)
-    np.testing.assert_array_equal(model.process_noise(None, None), np.eye(2))
+    np.testing.assert_array_equal(
+        model.process_noise(np.zeros((1, 2)), np.zeros((1, 2))), np.eye(2)
+    )
     np.testing.assert_array_equal(model.measurement_noise(), np.eye(2))
 
 

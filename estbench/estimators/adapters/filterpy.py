@@ -7,12 +7,12 @@ from typing import Any
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
 from estbench.estimators.settings import scaled_rule
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
 @dataclass(frozen=True)
 class _FilterPy(PeerFilter):
-    """Of FilterPy, imported on use."""
+    """Base of the adapters for FilterPy."""
 
     def load(self) -> None:
         """Import FilterPy."""
@@ -23,13 +23,13 @@ class _FilterPy(PeerFilter):
 class FilterPyEKF(_FilterPy):
     """FilterPy's `ExtendedKalmanFilter`; it equals `ekf` up to rounding.
 
-    Cost per step: the EKF's, one run after the other in Python. Choose it to check either.
+    Cost per step: that of the EKF, run by run in Python. Choose it to check either library.
 
     Attributes:
         model: the filter's model, of vectors only.
     """
 
-    def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
+    def predicted(self, x: Float[Array, " n"], P: Float[Array, "n n"], one: OneRun) -> Moments:
         """`predict` with `predict_x` replaced by the model's f, as FilterPy's manual says."""
         moved, F = one.f_jacobian(x)
         peer = kalman().ExtendedKalmanFilter(len(x), 1)
@@ -38,7 +38,9 @@ class FilterPyEKF(_FilterPy):
         peer.predict()
         return peer.x, peer.P
 
-    def updated(self, x: Array, P: Array, y: Array, one: OneRun) -> tuple[Array, Array, Moments]:
+    def updated(
+        self, x: Float[Array, " n"], P: Float[Array, "n n"], y: Float[Array, " m"], one: OneRun
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Moments]:
         """`update` with h and H from the model."""
         predicted, H = one.h_jacobian(x)
         peer = kalman().ExtendedKalmanFilter(len(x), len(y))
@@ -51,7 +53,7 @@ class FilterPyEKF(_FilterPy):
 class FilterPyUKF(_FilterPy):
     """FilterPy's `UnscentedKalmanFilter` (2.0 redraws its points); it equals `ukf` up to rounding.
 
-    Cost per step: the UKF's, point after point in Python. Choose it to check either.
+    Cost per step: that of the UKF, point by point in Python. Choose it to check either library.
 
     Attributes:
         model: the filter's model, of vectors only.
@@ -66,14 +68,16 @@ class FilterPyUKF(_FilterPy):
         super().__post_init__()
         scaled_rule(self)
 
-    def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
+    def predicted(self, x: Float[Array, " n"], P: Float[Array, "n n"], one: OneRun) -> Moments:
         """`predict` with the model's f."""
         peer = self._peer(x, P, one, 1)
         peer.Q = one.process_noise(x)
         peer.predict()
         return peer.x, peer.P
 
-    def updated(self, x: Array, P: Array, y: Array, one: OneRun) -> tuple[Array, Array, Moments]:
+    def updated(
+        self, x: Float[Array, " n"], P: Float[Array, "n n"], y: Float[Array, " m"], one: OneRun
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Moments]:
         """`update` with the model's h, from points drawn anew from x̂⁻ and P⁻."""
         peer = self._peer(x, P, one, len(y))
         peer.sigmas_f = peer.points_fn.sigma_points(x, P)

@@ -1,4 +1,4 @@
-"""What the adapters share: a peer's filter knows one run, so the runs are done one by one."""
+"""Base of the adapters: a filter of another library handles one run, so runs are done in turn."""
 
 from dataclasses import dataclass, replace
 
@@ -10,7 +10,7 @@ from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import cholesky, solve_lower
 
 Moments = tuple[Array, Array]
@@ -19,16 +19,16 @@ Moments = tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class OneRun:
-    """The model as one run sees it at one time.
+    """The model for one run at one time.
 
     Attributes:
-        model: of all runs.
-        index: which run, for noise that differs between runs.
-        u: its control `(1, nu)`.
-        t: s.
-        dt: s to the next time; 0 for an update.
-        channels: that deliver.
-        arrived: which components did `(m,)`; None is all.
+        model: the model of all runs.
+        index: number of the run, for noise that differs between runs.
+        u: control of the run `(1, nu)`.
+        t: time, s.
+        dt: interval to the next time, s; 0 for an update.
+        channels: channels of the measurement.
+        arrived: mask `(m,)` of the components that arrived; None for all.
     """
 
     model: Model
@@ -39,31 +39,31 @@ class OneRun:
     channels: Channels = None
     arrived: NDArray[np.bool_] | None = None
 
-    def f(self, points: Array) -> Array:
-        """The states `(point, n)` after dt."""
+    def f(self, points: Float[Array, "point n"]) -> Float[Array, "point n"]:
+        """The states after dt."""
         return self.model.transition(points[None], self.u, self.t, self.dt)[0]
 
-    def f_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """State `(n,)` and Φ `(n, n)` after dt."""
+    def f_jacobian(self, x: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+        """State and Φ after dt."""
         moved, F = self.model.transition_jacobian(x[None], self.u, self.t, self.dt)
         return moved[0], F[0]
 
-    def process_noise(self, x: Array) -> Array:
-        """Q `(n, n)` at x."""
+    def process_noise(self, x: Float[Array, " n"]) -> Float[Array, "n n"]:
+        """Q at x."""
         Q = self.model.process_noise(x[None], self.u, self.t, self.dt)
         return Q[0] if Q.ndim == 3 else Q
 
-    def h(self, points: Array) -> Array:
-        """What is measured of the states `(point, m)`."""
+    def h(self, points: Float[Array, "point n"]) -> Float[Array, "point m"]:
+        """The measurements at the states."""
         return self._kept(self.model.measurement(points[None], self.u, self.t, self.channels)[0])
 
-    def h_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Measurement `(m,)` and H `(m, n)`."""
+    def h_jacobian(self, x: Float[Array, " n"]) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
+        """Measurement and H."""
         y, H = self.model.measurement_jacobian(x[None], self.u, self.t, self.channels)
         return self._kept(y[0]), self._kept(H[0].T).T
 
-    def measurement_noise(self) -> Array:
-        """R `(m, m)`."""
+    def measurement_noise(self) -> Float[Array, "m m"]:
+        """R."""
         R = self.model.measurement_noise(self.t, self.channels)
         R = R[self.index] if R.ndim == 3 else R
         return self._kept(self._kept(R).T).T
@@ -74,7 +74,7 @@ class OneRun:
 
 @dataclass(frozen=True)
 class PeerFilter(GaussianEstimator):
-    """Drives another library's filter; a subclass predicts and updates one run.
+    """Runs a filter of another library; a subclass predicts and updates one run.
 
     Attributes:
         model: the filter's model, whose state and measurements must be vectors.
@@ -99,16 +99,18 @@ class PeerFilter(GaussianEstimator):
         """Import the library."""
         raise NotImplementedError
 
-    def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
+    def predicted(self, x: Float[Array, " n"], P: Float[Array, "n n"], one: OneRun) -> Moments:
         """x̂⁻ and P⁻ of one run."""
         raise NotImplementedError
 
-    def updated(self, x: Array, P: Array, y: Array, one: OneRun) -> tuple[Array, Array, Moments]:
+    def updated(
+        self, x: Float[Array, " n"], P: Float[Array, "n n"], y: Float[Array, " m"], one: OneRun
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Moments]:
         """x̂⁺, P⁺ and (ν, S) of one run."""
         raise NotImplementedError
 
-    def predict(self, belief: Gaussian, u: Array, t: float, dt: float) -> Gaussian:
-        """The library's prediction, run by run."""
+    def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
+        """The prediction of the library, run by run."""
         mean, cov = belief.mean.copy(), belief.cov.copy()
         fault = np.zeros(len(mean), np.uint8)
         for i in np.flatnonzero(belief.fault == 0):
@@ -122,13 +124,13 @@ class PeerFilter(GaussianEstimator):
     def update(
         self,
         belief: Gaussian,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
-        """The library's update, run by run; what did not arrive is left out of H and R."""
+        """The update of the library, run by run; H and R hold only the components that arrived."""
         mean, cov = belief.mean.copy(), belief.cov.copy()
         runs, m = y.shape
         residual, S = np.zeros((runs, m)), np.tile(np.eye(m), (runs, 1, 1))

@@ -12,18 +12,18 @@ import numpy as np
 from estbench.errors import MissingExtraError
 from estbench.estimators.adapters.peer import Moments, OneRun, PeerFilter
 from estbench.estimators.settings import scaled_rule
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 EPOCH = datetime(2000, 1, 1)
-"""Stone Soup wants dates; any will do."""
+"""Stone Soup needs dates; this one is arbitrary."""
 
 
 @dataclass(frozen=True)
 class StoneSoupEKF(PeerFilter):
     """Stone Soup's `ExtendedKalmanPredictor` and `-Updater`; they equal `ekf` up to rounding.
 
-    Cost per step: n + 2 transitions and 2 n + 3 measurements, since it asks for some again, one run
-    after the other in Python. Choose it to check either.
+    Cost per step: n + 2 transitions and 2 n + 3 measurements, since it evaluates some twice, run by
+    run in Python. Choose it to check either library.
 
     Attributes:
         model: the filter's model, of vectors only.
@@ -33,14 +33,16 @@ class StoneSoupEKF(PeerFilter):
         """Import Stone Soup."""
         library()
 
-    def predicted(self, x: Array, P: Array, one: OneRun) -> Moments:
+    def predicted(self, x: Float[Array, " n"], P: Float[Array, "n n"], one: OneRun) -> Moments:
         """`predict` over one.dt."""
         prior = library().GaussianState(x[:, None], P, timestamp=EPOCH)
         predictor = self._predictor(library().Transition(one, x))
         out = predictor.predict(prior, timestamp=EPOCH + timedelta(seconds=one.dt))
         return _vector(out.state_vector), _matrix(out.covar)
 
-    def updated(self, x: Array, P: Array, y: Array, one: OneRun) -> tuple[Array, Array, Moments]:
+    def updated(
+        self, x: Float[Array, " n"], P: Float[Array, "n n"], y: Float[Array, " m"], one: OneRun
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Moments]:
         """`update` by a hypothesis of the one measurement."""
         soup = library()
         prior = soup.GaussianStatePrediction(x[:, None], P, timestamp=EPOCH)
@@ -64,7 +66,7 @@ class StoneSoupEKF(PeerFilter):
 class StoneSoupUKF(StoneSoupEKF):
     """Stone Soup's `UnscentedKalmanPredictor` and `-Updater`; they equal `ukf` up to rounding.
 
-    Cost per step: the UKF's, one run after the other in Python. Choose it to check either.
+    Cost per step: that of the UKF, run by run in Python. Choose it to check either library.
 
     Attributes:
         model: the filter's model, of vectors only.
@@ -92,7 +94,7 @@ class StoneSoupUKF(StoneSoupEKF):
 
 @cache
 def library() -> Any:
-    """What is used of Stone Soup, with the model's f and h as its transition and measurement.
+    """The classes of Stone Soup in use, with f and h of the model as transition and measurement.
 
     Raises:
         MissingExtraError: Stone Soup is not installed.
