@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from estbench.consistency.intervals import wilson
-from estbench.consistency.nees import Interval, Verdict, judge, positive_mean_interval
+from estbench.consistency.intervals import Interval, positive_mean_interval, wilson
+from estbench.consistency.nees import Verdict, judge
 from estbench.estimators.kf import KF
 from estbench.estimators.protocol import Estimator
 from estbench.models.linear import LinearModel

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
 from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load_all
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array

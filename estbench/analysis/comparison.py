@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.shapes import Array
 
 ROUNDING = 1e-9
@@ -182,7 +182,7 @@ def compare(
     for (a, b, p), sign, wilcoxon in zip(found, signs, wilcoxons):
         size = np.array([p.difference.value / np.log1p(margin), p.lost / margin])
         differ = bool(wilcoxon < 1 - level and (np.sign(p.effect) * size > 1).any())
-        pairs.append(Pair(a, b, p, exponential(p.difference), sign, wilcoxon, differ))
+        pairs.append(Pair(a, b, p, p.difference.exponential(), sign, wilcoxon, differ))
         if differ:
             ahead, behind = (a, b) if p.effect < 0 else (b, a)
             better[behind] += 1
@@ -199,7 +199,7 @@ def compare(
             place=1 + better[key],
             last=len(keys) - worse[key],
             tied=places.count(better[key]) > 1,
-            ratio=exponential(_difference(scores[key], scores[order[0]], level)),
+            ratio=_difference(scores[key], scores[order[0]], level).exponential(),
             lost=lost[key],
         )
         for key in order
@@ -221,9 +221,3 @@ def fewest_runs(estimators: int, level: float = 0.95) -> int:
     """
     pairs = max(1, estimators * (estimators - 1) // 2)
     return int(np.floor(np.log2(2 * pairs / (1 - level)))) + 1
-
-
-def exponential(i: Interval) -> Interval:
-    """The interval of exp of a quantity."""
-    with np.errstate(over="ignore"):
-        return Interval(*(float(np.exp(x)) for x in (i.value, i.low, i.high)))

@@ -6,9 +6,9 @@ import numpy as np
 
 from estbench.analysis.load import Stored
 from estbench.consistency import coverage, credibility, intervals, whiteness
-from estbench.consistency.nees import Interval, positive_mean_interval
-from estbench.consistency.records import Record
-from estbench.consistency.summary import Summary
+from estbench.consistency.fields import Record
+from estbench.consistency.intervals import Interval, positive_mean_interval
+from estbench.consistency.statistics import Summary
 from estbench.shapes import Array
 
 TRIM = 0.1
@@ -139,9 +139,9 @@ def accuracies(
             Accuracy(
                 unit=unit,
                 names=tuple(names[i] for i in members),
-                mean=root(mean),
-                trimmed=root(intervals.trimmed_mean(every, TRIM, level)),
-                median=root(intervals.median(every, level)),
+                mean=mean.root(),
+                trimmed=intervals.trimmed_mean(every, TRIM, level).root(),
+                median=intervals.median(every, level).root(),
                 sigma=float(np.sqrt(variance.mean())) if good.any() else np.nan,
                 coverage=None
                 if inside is None
@@ -159,8 +159,3 @@ def inside_shares(record: Record) -> Array | None:
     if not all(name in record for name in names):
         return None
     return np.stack([record[name] for name in names], axis=-1)
-
-
-def root(i: Interval) -> Interval:
-    """The interval of the square root of a quantity that is not negative."""
-    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in (i.value, i.low, i.high)))

@@ -10,8 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from estbench.consistency.records import SUMMARY, Record
-from estbench.consistency.summary import Summary, summarize
+from estbench.consistency.fields import Record
+from estbench.consistency.records import SUMMARY
+from estbench.consistency.statistics import Summary
+from estbench.consistency.summary import summarize
 from estbench.errors import StoreError
 from estbench.scenario import load as scenarios
 from estbench.scenario.schema import Scenario

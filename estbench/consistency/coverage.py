@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.shapes import Array
 
 SIGMAS = (1, 2, 3)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency.intervals import wilson
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval, wilson
 from estbench.inference.lags import correlation
 from estbench.shapes import Array
 

@@ -4,7 +4,7 @@ import asyncio
 from concurrent.futures import Executor
 
 from estbench.errors import ExecutorError, MissingExtraError
-from estbench.montecarlo.executors import Pool
+from estbench.montecarlo.pool import Pool
 
 TIMEOUT = 10.0
 """Seconds in which a scheduler must answer, and have a worker."""

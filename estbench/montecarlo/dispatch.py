@@ -5,25 +5,26 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 
-from estbench.consistency import records
+from estbench.consistency.fields import Record
 from estbench.errors import ExecutorError, StoreError
-from estbench.experiment import setup
-from estbench.montecarlo import executors, worker
-from estbench.store import zarr as store
+from estbench.experiment.setup import Setup
+from estbench.montecarlo import worker
+from estbench.montecarlo.pool import Failed, Pool, execute
+from estbench.store.zarr import Store
 
 Progress = Callable[[int, int], None]
 """Called with the runs done and the runs in all."""
 
 
 def compute(
-    prepared: setup.Setup,
+    prepared: Setup,
     batches: Mapping[int, range],
     keep: str,
-    using: executors.Pool,
-    target: store.Store | None,
-    done: dict[int, dict[str, records.Record]],
+    using: Pool,
+    target: Store | None,
+    done: dict[int, dict[str, Record]],
     progress: Progress | None,
-) -> tuple[dict[int, dict[str, records.Record]], dict[int, Exception], bool]:
+) -> tuple[dict[int, dict[str, Record]], dict[int, Exception], bool]:
     """Compute batches, and write them where there is a store.
 
     Args:
@@ -52,9 +53,9 @@ def compute(
     if using.local:
         work = partial(work, stop=stopping.is_set, prepared=prepared)
     try:
-        with closing(executors.execute(work, tasks, using, stopping.set)) as outcomes:
+        with closing(execute(work, tasks, using, stopping.set)) as outcomes:
             for outcome in outcomes:
-                if isinstance(outcome, executors.Failed):
+                if isinstance(outcome, Failed):
                     failed[outcome.task.index] = outcome.error
                     _give_up(outcome.error, target, done, len(failed))
                     continue
@@ -72,8 +73,8 @@ def compute(
 
 def _give_up(
     error: Exception,
-    target: store.Store | None,
-    done: Mapping[int, dict[str, records.Record]],
+    target: Store | None,
+    done: Mapping[int, dict[str, Record]],
     failed: int,
 ) -> None:
     """Raise the error of a batch that says that the others will fail too."""

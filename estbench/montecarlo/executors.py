@@ -1,66 +1,22 @@
-"""Running tasks in parallel: threads, processes, or a dask cluster, behind one loop.
-
-The three are the same interface, `concurrent.futures.Executor`. A worker that dies takes the pool
-with it: the pool is made anew and what was under way is tried again, one task at a time, so that a
-task that kills its worker is found out and reported while the others complete. A task that finds no
-memory is tried again in the same way, when no other takes any.
-"""
+"""The pools by kind, how many workers fit the machine, and how a pool is abandoned."""
 
 import contextlib
 import multiprocessing
 import os
 import signal
 import threading
-from collections import Counter, deque
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    wait,
-)
-from dataclasses import dataclass
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Generic, TypeVar
 
 from estbench.errors import ExecutorError
+from estbench.montecarlo.pool import Pool
 
-T = TypeVar("T")
 KINDS = ("auto", "threads", "processes", "dask")
-POLL = 1.0
-"""Seconds between two looks whether a cluster is still there."""
 LONG = 20_000_000
 """Steps of all runs and estimators, some minutes of one core, from which processes pay."""
 PROCESS_BYTES = 250 * 2**20
 """What a process takes before it computes anything."""
-
-
-@dataclass(frozen=True)
-class Failed(Generic[T]):
-    """A task that gave no result, and why."""
-
-    task: T
-    error: Exception
-
-
-@dataclass(frozen=True)
-class Pool:
-    """How to make an executor, how many tasks it works on at once, and how to abandon it."""
-
-    make: Callable[[], Executor]
-    workers: int
-    abandon: Callable[[Executor], None]
-    queue: int
-    """Tasks handed over at once; with processes only those under way, so that a death has few
-    suspects."""
-    local: bool = False
-    """Whether tasks share this process's memory."""
-    lost: Callable[[], bool] = lambda: False
-    """Whether the workers have gone for good and say nothing of it."""
 
 
 def cpu_count() -> int:
@@ -129,100 +85,10 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
             workers,
         )
     if kind == "dask":
-        from estbench.montecarlo import dask as cluster  # takes long to import, and is an extra
+        from estbench.montecarlo import dask  # takes long to import, and is an extra
 
-        return cluster.pool(address)
+        return dask.pool(address)
     raise ExecutorError(f"executor is '{kind}'; use one of {', '.join(KINDS)}")
-
-
-def execute(
-    function: Callable[[T], Any],
-    tasks: Sequence[T],
-    using: Pool,
-    stop: Callable[[], None] = lambda: None,
-    retries: int = 2,
-) -> Generator[tuple[T, Any] | Failed[T], None, None]:
-    """Results as they come, in any order; a task that raised or whose worker died is `Failed`.
-
-    Args:
-        function: called with each task; for processes it must be importable.
-        tasks: hashable.
-        using: from `pool`.
-        stop: called when the loop is left early, before the executor is abandoned.
-        retries: how often a task whose worker died is tried again, alone.
-    """
-    fresh, suspects = deque(tasks), deque[T]()
-    deaths: Counter[T] = Counter()
-    waiting: dict[Future[Any], T] = {}
-    succeeded = False
-    executor = using.make()
-    try:
-        while fresh or suspects or waiting:
-            # Suspects run alone, after the others: if one dies again, it is known which. While
-            # nothing has succeeded they go first, so that what cannot work ends soon.
-            alone = bool(suspects) and not (fresh and succeeded)
-            source, limit = (suspects, 1) if alone else (fresh, using.queue)
-            broken = False
-            while source and len(waiting) < limit and not broken:
-                task = source.popleft()
-                try:
-                    waiting[executor.submit(function, task)] = task
-                except BrokenExecutor:  # a worker died meanwhile; this task is no suspect
-                    source.appendleft(task)
-                    broken = True
-                except Exception as error:  # a cluster that was lost takes no more
-                    yield Failed(task, ExecutorError(f"{LOST} ({type(error).__name__}: {error})"))
-            finished, _ = wait(waiting, POLL, FIRST_COMPLETED) if waiting else ((), ())
-            if not finished and using.lost():  # its futures would never be done
-                for task in (*waiting.values(), *suspects, *fresh):
-                    yield Failed(task, ExecutorError(LOST))
-                using.abandon(executor)
-                return
-            lost: dict[T, str] = {}
-            for future in finished:
-                task = waiting.pop(future)
-                try:
-                    result = future.result()
-                except BrokenExecutor:
-                    broken, lost[task] = True, DIED
-                except MemoryError:
-                    lost[task] = NO_MEMORY
-                except Exception as error:  # what the task raised is its failure
-                    yield Failed(task, _ours(error))
-                else:
-                    succeeded = True
-                    yield task, result
-            if broken:
-                lost |= dict.fromkeys(waiting.values(), DIED)
-                waiting.clear()
-                using.abandon(executor)
-                executor = using.make()
-            for task, reason in lost.items():
-                deaths[task] += 1
-                if deaths[task] <= retries:
-                    suspects.append(task)
-                else:
-                    yield Failed(task, ExecutorError(reason.format(deaths[task])))
-    except BaseException:
-        stop()
-        using.abandon(executor)
-        raise
-    executor.shutdown(wait=True)
-    using.abandon(executor)  # a cluster's connection is left open otherwise
-
-
-DIED = "the worker died {} times (out of memory? killed?); take fewer --workers"
-NO_MEMORY = "no memory, {} times, alone too; take --keep summary, or fewer estimators at once"
-LOST = "the cluster was lost; go on with --resume"
-
-
-def _ours(error: Exception) -> Exception:
-    """The error of a task; those of a cluster that lost it, in our words."""
-    if isinstance(error, CancelledError):
-        return ExecutorError(LOST)
-    if type(error).__name__ == "KilledWorker":  # distributed.scheduler.KilledWorker
-        return ExecutorError(f"the workers that computed it died: {error}")
-    return error
 
 
 def _leave(executor: Executor) -> None:

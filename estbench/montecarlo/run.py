@@ -4,19 +4,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from estbench.consistency import records
-from estbench.consistency import summary as statistics
+from estbench.consistency.fields import Record
+from estbench.consistency.records import merge
+from estbench.consistency.summary import summarize
 from estbench.errors import ExecutorError, Interrupted, StoreError
-from estbench.experiment import setup
-from estbench.montecarlo import batch as one
-from estbench.montecarlo import dispatch, executors
-from estbench.montecarlo.batch import default_batch_size, run_batch, traced
+from estbench.experiment.setup import Setup, build
+from estbench.montecarlo import batch, dispatch, executors
 from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo.pool import Pool
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
-from estbench.store import zarr as store
-
-__all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
+from estbench.store.zarr import Store
 
 Say = Callable[[str], None]
 """Called with a line that is better read before the runs are computed than after."""
@@ -75,10 +73,10 @@ def run(
     stored = dtype or "float64"
     _check(out, keep, stored, resume, shard, executor, address, workers, batch_size)
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
-    prepared = setup.build(resolved)
+    prepared = build(resolved)
     level, notices = _level(prepared, keep, stored, out is not None)
-    size = batch_size or default_batch_size(prepared, level)
-    using = _pool(prepared, executor, address, workers, size * one.run_bytes(prepared, level))
+    size = batch_size or batch.default_batch_size(prepared, level)
+    using = _pool(prepared, executor, address, workers, size * batch.run_bytes(prepared, level))
     if out is None:
         count = resolved.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
@@ -155,25 +153,21 @@ def _check(
         )
 
 
-def _level(
-    prepared: setup.Setup, keep: str, dtype: str, stored: bool
-) -> tuple[str, tuple[str, ...]]:
+def _level(prepared: Setup, keep: str, dtype: str, stored: bool) -> tuple[str, tuple[str, ...]]:
     """What to keep of every run, and what to say of it."""
     if keep != "auto":
         return keep, ()
-    level = one.default_keep(prepared, dtype)
+    level = batch.default_keep(prepared, dtype)
     if level == "diagonal" or not stored:
         return level, ()
-    size, most = (x / 2**30 for x in (one.trace_bytes(prepared, dtype), one.TRACES_BYTES))
+    size, most = (x / 2**30 for x in (batch.trace_bytes(prepared, dtype), batch.TRACES_BYTES))
     return level, (
         f"the traces of all runs would take {size:.3g} GiB, more than {most:.3g}: only averages "
         "are stored; --keep diagonal stores the traces too",
     )
 
 
-def _pool(
-    prepared: setup.Setup, kind: str, address: str | None, workers: int | None, size: int
-) -> executors.Pool:
+def _pool(prepared: Setup, kind: str, address: str | None, workers: int | None, size: int) -> Pool:
     """The workers, as many as fit."""
     if kind == "auto":
         scenario = prepared.scenario
@@ -184,29 +178,29 @@ def _pool(
 
 def _open(
     folder: Path,
-    prepared: setup.Setup,
+    prepared: Setup,
     keep: str,
     size: int,
     dtype: str,
     resume: bool,
     shard: tuple[int, int] | None,
-) -> store.Store:
+) -> Store:
     """A new store, or the one to go on with; of several shards the first comer makes it."""
     if (resume or shard is not None) and folder.exists():
-        return store.Store.reopen(folder, prepared)
+        return Store.reopen(folder, prepared)
     try:
-        return store.Store.create(folder, prepared, keep, size, dtype)
+        return Store.create(folder, prepared, keep, size, dtype)
     except StoreError:
         if shard is None or not folder.exists():
             raise
-        return store.Store.reopen(folder, prepared)
+        return Store.reopen(folder, prepared)
 
 
-def _share(target: store.Store, shard: tuple[int, int]) -> range:
+def _share(target: Store, shard: tuple[int, int]) -> range:
     return range(shard[0] - 1, len(target.batches), shard[1])
 
 
-def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]], list[int]]:
+def _finished(target: Store) -> tuple[dict[int, dict[str, Record]], list[int]]:
     """Summary records of the batches that are done, and the batches found corrupted."""
     done, corrupted = {}, []
     for index in range(len(target.batches)):
@@ -220,11 +214,11 @@ def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]]
 
 
 def _collect(
-    prepared: setup.Setup,
+    prepared: Setup,
     batches: Sequence[range],
-    done: dict[int, dict[str, records.Record]],
+    done: dict[int, dict[str, Record]],
     failed: dict[int, Exception],
-    target: store.Store | None,
+    target: Store | None,
     interrupted: bool,
     notices: Sequence[str] = (),
 ) -> Results:
@@ -236,8 +230,7 @@ def _collect(
     order = sorted(done)
     runs = [run for i in order for run in batches[i]]
     merged = {
-        label: records.merge([done[i][label] for i in order])
-        for label in prepared.scenario.estimators
+        label: merge([done[i][label] for i in order]) for label in prepared.scenario.estimators
     }
     section = prepared.scenario.consistency
     return Results(
@@ -248,7 +241,7 @@ def _collect(
         steps=sum(instant.control for instant in prepared.instants),
         runs=tuple(runs),
         summaries=tuple(
-            statistics.summarize(label, record, runs, prepared.times, section)
+            summarize(label, record, runs, prepared.times, section)
             for label, record in merged.items()
         ),
         records=merged,

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from estbench.consistency import records
-from estbench.experiment import setup
+from estbench.consistency.fields import Record
+from estbench.consistency.records import COST, SUMMARY
+from estbench.experiment.setup import Setup, build
 from estbench.montecarlo.batch import run_batch
 from estbench.robots.batch import engine
-from estbench.scenario import load as scenario
+from estbench.scenario.load import parse
 from estbench.store.zarr import Store
 
 
@@ -35,8 +36,8 @@ class Task:
 def work(
     task: Task,
     stop: Callable[[], bool] = lambda: False,
-    prepared: setup.Setup | None = None,
-) -> dict[str, records.Record] | None:
+    prepared: Setup | None = None,
+) -> dict[str, Record] | None:
     """Compute and write a batch; its summary records, or None when `stop` answered True.
 
     Args:
@@ -56,14 +57,14 @@ def work(
     if task.folder is not None:
         _store(task.folder, task.toml).write(task.index, batch.truth, batch.records)
     return {
-        label: {name: record[name] for name in records.SUMMARY | records.COST}
+        label: {name: record[name] for name in SUMMARY | COST}
         for label, record in batch.records.items()
     }
 
 
 @lru_cache(maxsize=2)
-def _prepared(toml: str) -> setup.Setup:
-    return setup.build(scenario.parse(toml))
+def _prepared(toml: str) -> Setup:
+    return build(parse(toml))
 
 
 @lru_cache(maxsize=2)

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estbench
+from estbench.consistency import statistics
+from estbench.consistency.statistics import LAG_ONE
 from estbench.errors import MissingExtraError, StoreError
 from estbench.inference.lags import LAGS
 from estbench.report import facts, pictures, tables
@@ -76,13 +78,13 @@ def write_report(
 
 def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line: None) -> str:
     """The page as text."""
-    statistics = []
+    of_traces = []
     for entry in entries:
         say(f"reading {entry.key}")
-        statistics.append(traces.statistics(entry))
-    material = Material(entries, statistics)
+        of_traces.append(traces.statistics(entry))
+    material = Material(entries, of_traces)
     figures = drawings(material)
-    has_traces = any(statistics)
+    has_traces = any(of_traces)
     runs, points = traces.run_points(entries)
     chosen = data.choose_runs(entries, runs) if has_traces else []
     clips, problem = pictures.clips(entries, say) if video and has_traces else ([], "")
@@ -103,11 +105,16 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
            else f": {len(entries)} estimators"),
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=estbench.__version__,
-        notices=tables.notices(entries, statistics),
+        notices=tables.notices(entries, of_traces),
         sections=[s for s in SECTIONS if s[0] not in ("error", "coverage", "correlation")
                   or figures[s[0]]],
         entries=[tables.entry(material, i) for i in range(len(entries))],
         rmse=tables.rmse(entries),
+        headings=[s.heading_in("report") for s in statistics.shown("report")],
+        more_headings=[s.heading for s in statistics.shown("report", "coordinate")[1:]],
+        ideals=statistics.ideals("report"),
+        rmse_notes=[s.note for s in statistics.shown("report", "coordinate") if s.note],
+        lag_one=LAG_ONE.heading,
         baselines=tables.baselines(entries) if len(entries) > 1 else [],
         names=first.names,
         many=len(entries) > max(3, len(first.names)),
@@ -125,10 +132,10 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         exact=has_traces,
         clips=clips,
         no_clips=problem,
-        outside=tables.outside(entries, statistics),
+        outside=tables.outside(entries, of_traces),
         white=tables.white(material),
         lags=LAGS,
-        diverged=facts.diverged(entries, statistics),
+        diverged=facts.diverged(entries, of_traces),
         drawn=f"Statistics are over every run; {len(chosen)} runs are drawn." if chosen else "",
         css=_raw(text("page.css").read_text("utf-8")),
         js=_raw(text("page.js").read_text("utf-8")),

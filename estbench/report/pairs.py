@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired, compare, holm, paired, score
-from estbench.consistency.nees import Interval
 from estbench.report.sources import Entry
 from estbench.shapes import Array
 
@@ -78,15 +77,13 @@ def differences(entries: Sequence[Entry]) -> list[Difference]:
 
 
 def _negative(p: Paired) -> Paired:
-    i = p.difference
     return replace(
-        p, difference=Interval(-i.value, -i.high, -i.low), lost=-p.lost, less=p.more, more=p.less,
+        p, difference=-p.difference, lost=-p.lost, less=p.more, more=p.less,
         effect=-p.effect,
     )  # fmt: skip
 
 
 def _turned(pair: Pair) -> Pair:
-    i = pair.ratio
-    with np.errstate(divide="ignore"):
-        ratio = Interval(*(float(np.divide(1, x)) for x in (i.value, i.high, i.low)))
-    return replace(pair, a=pair.b, b=pair.a, paired=_negative(pair.paired), ratio=ratio)
+    return replace(
+        pair, a=pair.b, b=pair.a, paired=_negative(pair.paired), ratio=pair.ratio.reciprocal()
+    )

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from estbench.analysis import load as stored
 from estbench.analysis.load import Stored
-from estbench.consistency.records import Record
-from estbench.consistency.summary import Summary
+from estbench.consistency.fields import Record
+from estbench.consistency.statistics import Summary
 from estbench.errors import StoreError, did_you_mean
 
 

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired
-from estbench.analysis.tables import bounds, number, percent, probability
+from estbench.consistency import statistics
+from estbench.consistency.declaration import Statistic
+from estbench.consistency.statistics import LAG_ONE
 from estbench.report import facts
 from estbench.report.figures import palette
 from estbench.report.figures.drawing import Material
@@ -15,7 +17,8 @@ from estbench.report.figures.traces import TraceStatistics
 from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.store.versions import known, mixed
-from estbench.tables.quantity import quantity
+from estbench.tables.cells import cell, estimate, share, value_of
+from estbench.tables.quantity import bounds, number, percent, probability, quantity
 
 MARKS = {"": "", "less": " ▼", "more": " ▲"}
 NONE = 1e-4
@@ -29,26 +32,25 @@ def _cell(value: float, shown: str, kind: str = "", p: float | None = None) -> d
 
 
 def _share(value: float) -> dict[str, Any]:
-    return _cell(value, f"{value:.1%}" if np.isfinite(value) else "–")
+    return _cell(value, share(value))
+
+
+def _statistic(s: Statistic, value: Any) -> dict[str, Any]:
+    return _cell(estimate(value), cell(s, value, s.places["report"]))
 
 
 def entry(material: Material, i: int) -> dict[str, Any]:
     """Row of the table of verdicts."""
     entry = material.entries[i]
-    s, nees, nis = entry.summary, material.nees[i], material.nis[i]
+    summary, nees, nis = entry.summary, material.nees[i], material.nis[i]
     return {
         "key": entry.key,
         "colour": palette.colour(i),
         "dashes": palette.dash(i).replace("px", "").replace("solid", ""),
-        "verdict": str(s.verdict),
+        "verdict": str(summary.verdict),
         "sentence": facts.verdict(entry, nees),
         "cells": [
-            _cell(s.anees.value, quantity(s.anees)),
-            _cell(s.anees_median, number(s.anees_median, 3)),
-            _cell(s.anis.value, quantity(s.anis)),
-            _cell(s.lag_one.value, quantity(s.lag_one)),
-            _cell(s.diverged, f"{s.diverged:.1%}"),
-            _cell(s.cost, number(s.cost)),
+            *(_statistic(s, value_of(summary, s)) for s in statistics.shown("report")),
             _share(nees.outside),
             _share(nis.outside),
         ],
@@ -56,17 +58,15 @@ def entry(material: Material, i: int) -> dict[str, Any]:
 
 
 def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Rows of the table of RMSE and σ."""
+    """Rows of the table of RMSE and σ: the statistics of each coordinate, entry by entry."""
     source = entries[0].source
     rows = []
     for i, (name, unit) in enumerate(zip(source.names, source.units)):
-        cells = []
-        for entry in entries:
-            s = entry.summary
-            cells += [
-                _cell(s.rmse[i].value, quantity(s.rmse[i])),
-                _cell(s.std[i], number(s.std[i])),
-            ]
+        cells = [
+            _statistic(s, value_of(entry.summary, s)[i])
+            for entry in entries
+            for s in statistics.shown("report", "coordinate")
+        ]
         rows.append({"name": name, "unit": unit, "cells": cells})
     return rows
 
@@ -143,8 +143,7 @@ def white(material: Material) -> dict[str, Any]:
         names.insert(0, "all channels" if names else "")
     rows = []
     for entry, one, channels in zip(material.entries, material.white, material.channels):
-        lag_one = entry.summary.lag_one
-        cells = [_cell(lag_one.value, quantity(lag_one))]
+        cells = [_statistic(LAG_ONE, entry.summary.lag_one)]
         for name in names:
             found = one if name in ("", "all channels") else channels.get(name)
             cells += _test(found)

@@ -1,13 +1,14 @@
 """An empty store: every array declared, one chunk a batch, a checksum on every chunk."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import zarr
 from zarr.codecs import Crc32cCodec
 
-from estbench.consistency.records import SIZES, SUMMARY, TRUTH, Field, fields
+from estbench.consistency.fields import Field
+from estbench.consistency.records import SIZES, SUMMARY, TRUTH, fields
 from estbench.experiment.setup import Setup
 from estbench.inference.innovations import readings
 from estbench.robots.layout import state_names
@@ -63,7 +64,7 @@ def declare(
         )  # fmt: skip
         labels[:] = np.array(values, dtype=object)
 
-    def group(path: str, table: dict[str, Field], kind: str | None = None) -> None:
+    def group(path: str, table: Mapping[str, Field], kind: str | None = None) -> None:
         for name, field in table.items():
             array = root.create_array(
                 f"{path}/{name}".strip("/"),

@@ -24,7 +24,8 @@ import numpy as np
 import xarray as xr
 import zarr
 
-from estbench.consistency.records import COST, SUMMARY, TRUTH, Field, Record, fields
+from estbench.consistency.fields import Field, Record
+from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError
 from estbench.experiment.setup import Setup
 from estbench.scenario.load import changes

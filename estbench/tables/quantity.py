@@ -2,7 +2,7 @@
 
 import math
 
-from estbench.consistency.nees import Interval
+from estbench.consistency.intervals import Interval
 
 LARGE = 1e5
 """Numbers from here on are shown by their power of ten."""
@@ -76,3 +76,33 @@ def _alone(x: float, digits: int) -> str:
     if abs(x) >= LARGE:
         return f"{x:.{digits - 1}e}"
     return f"{x:z.{max(digits, len(f'{abs(x):.0f}'))}g}"
+
+
+def bounds(i: Interval, decimals: int = 3) -> str:
+    """`1.021 [1.013, 1.030]`: for an interval that is not symmetric."""
+    if math.isnan(i.value):
+        return "–"
+    low, high = (f"{x:.{decimals}f}" if abs(x) < 1e4 else f"{x:.2g}" for x in (i.low, i.high))
+    return f"{number(i.value, decimals)} [{low}, {high}]".replace("inf", "∞")
+
+
+def percent(i: Interval, decimals: int = 1) -> str:
+    """`2.0% [0.8, 5.0]`."""
+    if math.isnan(i.value):
+        return "–"
+    value, low, high = (f"{100 * x:.{decimals}f}" for x in (i.value, i.low, i.high))
+    return f"{value}% [{low}, {high}]"
+
+
+def number(x: float, decimals: int | None = None) -> str:
+    """A number, or a sign where there is none."""
+    if not math.isfinite(x):
+        return "–" if math.isnan(x) else "∞" if x > 0 else "-∞"
+    if decimals is None and 999.5 <= abs(x) < 1e6:
+        return f"{x:.0f}"
+    return f"{x:.3g}" if decimals is None or abs(x) >= 1e4 else f"{x:.{decimals}f}"
+
+
+def probability(p: float) -> str:
+    """A p-value."""
+    return "–" if math.isnan(p) else "<0.001" if p < 0.001 else f"{p:.3f}"

@@ -10,11 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from estbench.analysis.findings import inside_shares
 from estbench.consistency.coverage import Coverage
 from estbench.consistency.coverage import coverage as shares_inside
+from estbench.consistency.intervals import normal_mean_square_bounds, positive_mean_bounds
 from estbench.consistency.nees import chi_square_band
 from estbench.report.sources import Entry
 from estbench.shapes import Array
@@ -123,7 +123,7 @@ def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
     Args:
         entry: the estimator.
         fourth: sum over the runs of the fourth power of the error `(K + 1, n)` where traces were
-            kept: then the interval is `consistency.positive_mean_interval` of the squared error
+            kept: then the interval is `intervals.positive_mean_interval` of the squared error
             across runs, as in the tables. Without it the errors are taken to be normal.
     """
     record, level = entry.record, entry.source.level
@@ -134,22 +134,13 @@ def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
         sigma = np.sqrt(record["variance_sum"].sum(axis=0) / runs)
         if fourth is not None:
             variance = np.maximum(fourth / runs - mse**2, 0.0) * runs / (runs - 1)
-            low, high = _positive_intervals(mse, variance, runs, level)
+            low, high = positive_mean_bounds(mse, variance, runs, level)
         else:
-            low, high = (square / stats.chi2.ppf(0.5 + s * level / 2, runs) for s in (1, -1))
+            low, high = normal_mean_square_bounds(square, runs, level)
         return Rmse(
             entry.source.times, np.sqrt(mse), sigma,
             np.sqrt(np.maximum(low, 0.0)), np.sqrt(high), fourth is not None,
         )  # fmt: skip
-
-
-def _positive_intervals(mean: Array, variance: Array, runs: Array, level: float) -> tuple:
-    """`consistency.positive_mean_interval` for many means at once, from their moments."""
-    squared = variance / mean**2
-    v = squared / runs / 9
-    half = stats.t.ppf(0.5 + level / 2, (runs - 1) / (1 + squared)) * np.sqrt(v)
-    high = 1 - v - half
-    return mean / (1 - v + half) ** 3, np.where(high > 0, mean / high**3, np.inf)
 
 
 def thin(values: Array, points: int = POINTS) -> NDArray[np.intp]:

@@ -1,12 +1,12 @@
-"""Are the innovations white? What `analysis.whiteness` says of a store's, whole and by channel."""
+"""Autocorrelation of the whitened innovations of a store, together and by channel."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from estbench.consistency.intervals import normal_quantile
 from estbench.consistency.whiteness import Whiteness, whiteness
 from estbench.errors import EstbenchError
 from estbench.experiment import setup
@@ -82,7 +82,7 @@ def _correlation(entry: Entry, sums: Array, terms: NDArray[np.int64]) -> Correla
     if found is None:
         return None
     used = np.isfinite(sums).all(axis=-1) & (terms[:, 1:] > 0).any(axis=-1)
-    z = float(stats.norm.ppf(0.5 + entry.source.level / 2))
+    z = normal_quantile(entry.source.level)
     with np.errstate(divide="ignore"):  # a lag that no run is long enough for
         spread = np.sqrt((1 / terms[used, 1:]).sum(axis=0)) / used.sum()
     return Correlation(found, z * spread)

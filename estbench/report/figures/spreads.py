@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from estbench.analysis.tables import number
 from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.errors import MissingExtraError
 from estbench.report.figures import palette
@@ -16,6 +15,7 @@ from estbench.report.figures.innovations import Correlation
 from estbench.report.figures.traces import ERROR_EDGES, TraceStatistics
 from estbench.report.sources import Entry
 from estbench.shapes import Array
+from estbench.tables.quantity import number
 
 try:
     import plotly.graph_objects as go

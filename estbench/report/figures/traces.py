@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
+from estbench.consistency.intervals import normal_quantile
 from estbench.consistency.nees import chi_square_band
 from estbench.montecarlo.executors import cpu_count
 from estbench.report.figures.data import thin
@@ -82,7 +83,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         left |= part.left
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(pairs > 0, products / pairs, np.nan)
-        z = float(stats.norm.ppf(0.5 + source.level / 2))
+        z = normal_quantile(source.level)
         return TraceStatistics(
             errors=errors / (total * np.diff(ERROR_EDGES)),
             beyond=1 - errors.sum(axis=1) / total,
