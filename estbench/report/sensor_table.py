@@ -3,9 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from rich import box
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from estbench.experiment.setup import Setup
@@ -13,18 +11,13 @@ from estbench.scenario.schema import BelievedChannelSection
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
 from estbench.shapes import Array
+from estbench.tables.columns import Column, Table
 
 
 def render(setup: Setup) -> Group:
     """Type, noise, rate, latency and imperfections of each channel, for a rich console."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    for heading in ("channel", "reads", "noise σ", "unit", "rate", "latency", "imperfections"):
-        right = heading in ("noise σ", "rate", "latency")
-        table.add_column(
-            heading, justify="right" if right else "left", no_wrap=heading != "imperfections"
-        )
-    for channel in setup.channels:
-        table.add_row(
+    rows = [
+        (
             channel.name,
             channel.kind,
             numbers(np.sqrt(np.diag(channel.cov))),
@@ -33,6 +26,19 @@ def render(setup: Setup) -> Group:
             latency(channel),
             ", ".join(words(channel)) or "white noise only",
         )
+        for channel in setup.channels
+    ]
+    headings = ("channel", "reads", "noise σ", "unit", "rate", "latency", "imperfections")
+    columns = tuple(
+        Column(
+            heading,
+            tuple(row[i] for row in rows),
+            "right" if heading in ("noise σ", "rate", "latency") else "left",
+            wraps=heading == "imperfections",
+        )
+        for i, heading in enumerate(headings)
+    )
+    table = Table(columns[:1], (columns[1:],))
     lines = [Text(line) for line in _believed(setup)]
     lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)
