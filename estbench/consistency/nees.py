@@ -1,4 +1,4 @@
-"""Is an estimator's covariance to be trusted? NEES, NIS, their chi-square bands, and a verdict.
+"""NEES and NIS: their chi-square bands, divergence, and the verdict on the covariance.
 
 NEES is (x ⊖ x̂)ᵀ P⁻¹ (x ⊖ x̂), NIS is νᵀ S⁻¹ ν; for a consistent filter they are chi-square with n
 and m degrees of freedom (Bar-Shalom, Li & Kirubarajan 2001, sec. 5.4; source 002).
@@ -15,7 +15,7 @@ from estbench.shapes import Array
 
 
 class Verdict(StrEnum):
-    """What the NEES says, in a word."""
+    """The verdict, in a word."""
 
     CONSISTENT = "consistent"
     OVERCONFIDENT = "overconfident"
@@ -29,6 +29,14 @@ def chi_square_band(dof: float | Array, runs: float | Array, level: float = 0.95
 
     [χ²((1-level)/2; N dof)/N, χ²((1+level)/2; N dof)/N] (Bar-Shalom et al. 2001, eq. 5.4.2-7).
     For NEES or NIS averaged over the runs **at one step**, where runs are independent.
+
+    Args:
+        dof: degrees of freedom of one value `(...)`.
+        runs: N `(...)`.
+        level: probability.
+
+    Returns:
+        Lower and upper bound, floats or `(...)`.
     """
     total = np.asarray(dof) * np.asarray(runs)
     low, high = (stats.chi2.ppf(0.5 + side * level / 2, total) / runs for side in (-1, 1))
@@ -44,18 +52,18 @@ def judge(
 ) -> Verdict:
     """The verdict from ANEES/n across runs.
 
-    Consistent means that the interval meets [1 - tolerance, 1 + tolerance]: no significant
-    difference from 1, or one too small to matter. With tolerance 0 a truly consistent filter is
-    refused with probability 1 - level. Above it the filter's errors are larger than its
-    covariance says (overconfident), below it smaller (conservative). An interval that excludes
-    nothing because it is wide (few runs, or a few runs with an enormous NEES) is undecided.
+    Consistent: the interval overlaps [1 - tolerance, 1 + tolerance], so that the difference from 1
+    is not significant, or too small to matter. With tolerance 0 a consistent filter is refused
+    with probability 1 - level. Overconfident: the interval is above, the errors are larger than
+    the covariance says. Conservative: it is below, they are smaller. Undecided: the interval
+    overlaps and is too wide, as with few runs, or some runs with an enormous NEES.
 
     Args:
         anees: ANEES/n with its interval across runs.
         diverged: share of runs that diverged.
-        tolerance: half-width of what counts as 1 in practice.
-        max_diverged: above this share the word is diverging, whatever the rest do.
-        precision: half-width of the interval above which consistent is not said.
+        tolerance: a difference of ANEES/n from 1 that does not matter.
+        max_diverged: with a larger share the verdict is diverging, whatever ANEES/n is.
+        precision: half-width of the interval above which the verdict is not consistent.
     """
     if diverged > max_diverged:
         return Verdict.DIVERGING
@@ -71,7 +79,13 @@ def judge(
 
 
 def diverged_runs(normalized: Array, threshold: float, window: int) -> NDArray[np.bool_]:
-    """Runs `(run,)` whose NEES/n `(step, run)` is above a threshold `window` steps in a row."""
+    """Runs whose NEES/n is above a threshold for `window` consecutive steps `(run,)`.
+
+    Args:
+        normalized: NEES/n `(step, run)`.
+        threshold: of NEES/n.
+        window: steps, at least 1; more than there are count as all.
+    """
     above = normalized > threshold
     window = max(1, min(window, len(above)))
     total = np.concatenate([np.zeros((1, above.shape[1]), np.int64), above.cumsum(axis=0)])

@@ -26,7 +26,7 @@ def cell(statistic: Statistic, value: Interval | float, detail: Detail) -> str:
 
 
 def share(x: float) -> str:
-    """`2.0%`; `–` where there is none."""
+    """A share in percent: `2.0%`; `–` for NaN."""
     return f"{x:.1%}" if math.isfinite(x) else "–"
 
 

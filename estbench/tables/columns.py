@@ -14,9 +14,9 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 GAP = 2
-"""Between columns."""
+"""Characters between columns."""
 WIDE = 40
-"""A column wider than this is folded where the screen is narrower still."""
+"""A column wider than this is folded where it does not fit the console."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ class Column:
 
     @property
     def width(self) -> int:
-        """Of its widest line."""
+        """Characters of its widest line."""
         cells = (*self.heading.split("\n"), *self.cells)
         return max(cell_len(str(cell)) for cell in cells)
 
     def narrowed(self) -> "Column":
-        """The column under its narrow heading."""
+        """The column with its narrow heading."""
         return replace(self, heading=self.narrow or self.heading)
 
 
 Group = tuple[Column, ...]
-"""Columns that stay beside each other."""
+"""Columns that stay in one table."""
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,14 @@ def tabulate(
 
 
 def fit(keys: Group, groups: Sequence[Group], width: int) -> list[Group]:
-    """The columns of each table: the keys, and as many groups as find room, at least one.
+    """The columns of each table: the keys, and as many groups as fit, at least one.
 
-    Headings are narrow where that saves a table.
+    Narrow headings are taken where they save a table.
+
+    Args:
+        keys: columns of every table.
+        groups: the other columns.
+        width: characters.
     """
     wide = _fill(keys, groups, width)
     narrow = _fill(keys, [tuple(c.narrowed() for c in group) for group in groups], width)

@@ -8,7 +8,7 @@ from estbench.tables.columns import Table
 
 
 def text(tables: Sequence[Table], width: int = 100) -> str:
-    """For a terminal of so many columns; columns that do not fit go on in a table below."""
+    """For a terminal of `width` characters; columns that do not fit go on in a table below."""
     console = Console(width=width, no_color=True, force_terminal=False, highlight=False)
     with console.capture() as capture:
         for table in tables:
