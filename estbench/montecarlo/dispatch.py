@@ -1,4 +1,4 @@
-"""Many batches on many workers: what came of each, and when to give up."""
+"""Batches on workers: the outcome of each, and when to give up."""
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from estbench.montecarlo.pool import Failed, Pool, execute
 from estbench.store.zarr import Store
 
 Progress = Callable[[int, int], None]
-"""Called with the runs done and the runs in all."""
+"""Called with the count of finished runs and that of all runs."""
 
 
 def compute(
@@ -28,20 +28,20 @@ def compute(
     """Compute batches, and write them where there is a store.
 
     Args:
-        prepared: what is run.
-        batches: number -> its runs.
-        keep: what is kept of every run.
+        prepared: the experiment.
+        batches: number of the batch -> its runs.
+        keep: `summary`, `diagonal` or `full`.
         using: the workers.
         target: the store, or None.
-        done: number -> summary records of the batches already finished; those computed are added.
-        progress: called after every batch.
+        done: number -> summary records of the batches already finished; new ones are added.
+        progress: called after each batch.
 
     Returns:
-        Number -> summary records, number -> why a batch failed, and whether Ctrl-C came.
+        Number -> summary records, number -> error of a failed batch, and whether Ctrl-C came.
 
     Raises:
         StoreError: the store cannot be written.
-        EstbenchError: nothing at all can be computed.
+        EstbenchError: no batch can be computed.
     """
     toml = prepared.scenario.to_toml()
     folder = None if target is None else str(target.folder.resolve())
@@ -77,19 +77,19 @@ def _give_up(
     done: Mapping[int, dict[str, Record]],
     failed: int,
 ) -> None:
-    """Raise the error of a batch that says that the others will fail too."""
+    """Raise the error of a batch if it means that the others will fail too."""
     if isinstance(error, StoreError) and target is not None:
         runs = sum(len(target.batches[i]) for i in done)
         raise StoreError(
             f"{error} ({runs} of {sum(map(len, target.batches))} runs are finished)"
         ) from None
-    # Nothing works: the input is at fault, or the machine, not one batch.
+    # No batch succeeds: the cause is the input or the machine, not one batch.
     if not done and (failed > 2 or not isinstance(error, ExecutorError)):
         raise error
 
 
 def missing(batches: Sequence[range], failed: Mapping[int, Exception]) -> list[str]:
-    """What failed and why: a line for batches that follow each other and have the same reason."""
+    """Missing runs and the reason: one line for consecutive batches with the same reason."""
     spans: list[tuple[int, int, str]] = []
     for i, error in sorted(failed.items()):
         runs, reason = batches[i], str(error)

@@ -1,4 +1,4 @@
-"""The pools by kind, how many workers fit the machine, and how a pool is abandoned."""
+"""The pools of each kind, and how many workers fit the machine."""
 
 import contextlib
 import multiprocessing
@@ -14,9 +14,9 @@ from estbench.montecarlo.pool import Pool
 
 KINDS = ("auto", "threads", "processes", "dask")
 LONG = 20_000_000
-"""Steps of all runs and estimators, some minutes of one core, from which processes pay."""
+"""Steps of all runs and estimators, some minutes of one core, above which processes are faster."""
 PROCESS_BYTES = 250 * 2**20
-"""What a process takes before it computes anything."""
+"""Memory of a process before it computes anything."""
 
 
 def cpu_count() -> int:
@@ -25,26 +25,26 @@ def cpu_count() -> int:
 
 
 def choose(steps: int, cpus: int) -> str:
-    """Threads or processes: what `auto` stands for.
+    """The kind that `auto` means: threads or processes.
 
-    The interpreter's lock lets threads use few CPUs (the physics and the linear algebra run without
-    it, the rest does not), but they start at once; a spawned process takes seconds.
+    Threads start at once but use few CPUs, as only the physics and the linear algebra run without
+    the interpreter's lock. A spawned process takes seconds to start.
 
     Args:
         steps: of all runs and estimators together.
-        cpus: that there are.
+        cpus: available.
     """
     return "processes" if cpus > 4 and steps >= LONG else "threads"
 
 
 def fitting(kind: str, batch: int, cpus: int | None = None, memory: int | None = None) -> int:
-    """Workers for the CPUs there are, as many as half of the memory holds.
+    """One worker per CPU, or as many as half of the free memory holds.
 
     Args:
         kind: `threads` or `processes`.
-        batch: bytes of one batch's traces; computing it takes some three times that.
+        batch: bytes of one batch's traces; its computation takes some three times that.
         cpus: default those this process may use.
-        memory: bytes; default what the machine, or this process's control group, has free.
+        memory: bytes; default the free memory of the machine or of this process's control group.
     """
     cpus = cpu_count() if cpus is None else cpus
     memory = free_memory() if memory is None else memory
@@ -53,12 +53,12 @@ def fitting(kind: str, batch: int, cpus: int | None = None, memory: int | None =
 
 
 def free_memory() -> int | None:
-    """Bytes that can be had without swapping, None where the system does not say."""
+    """Bytes available without swapping, None where the system does not tell."""
     found = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         found += [1024 * int(x.split()[1]) for x in lines if x.startswith("MemAvailable")]
-    with contextlib.suppress(OSError, ValueError):  # a container's limit; "max" is no number
+    with contextlib.suppress(OSError, ValueError):  # a container's limit, perhaps "max"
         group = Path("/sys/fs/cgroup")
         limit, used = (int((group / f"memory.{x}").read_text()) for x in ("max", "current"))
         found.append(limit - used)
@@ -69,7 +69,7 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
     """The pool of a kind.
 
     Raises:
-        ExecutorError: unknown kind, or a dask scheduler that cannot be reached.
+        ExecutorError: the kind is unknown, or the dask scheduler does not answer.
         MissingExtraError: dask.distributed is not installed.
     """
     if kind == "threads":
@@ -85,7 +85,7 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
             workers,
         )
     if kind == "dask":
-        from estbench.montecarlo import dask  # takes long to import, and is an extra
+        from estbench.montecarlo import dask  # an extra, slow to import
 
         return dask.pool(address)
     raise ExecutorError(f"executor is '{kind}'; use one of {', '.join(KINDS)}")
@@ -96,7 +96,7 @@ def _leave(executor: Executor) -> None:
 
 
 def _kill(executor: Executor) -> None:
-    """End the processes at once: nothing that they had not finished counts."""
+    """Kill the processes; their unfinished tasks give no result."""
     processes = list((getattr(executor, "_processes", None) or {}).values())
     executor.shutdown(wait=False, cancel_futures=True)
     for process in processes:
@@ -105,10 +105,10 @@ def _kill(executor: Executor) -> None:
 
 
 def _start() -> None:
-    """What a process does first: leave Ctrl-C to the parent, and not outlive it.
+    """Initialize a process: it ignores Ctrl-C and exits when its parent dies.
 
-    Ctrl-C reaches every process of the terminal. A parent that is killed can end nobody, and its
-    children would wait for work for ever.
+    Ctrl-C reaches every process of the terminal, and the parent handles it. A parent that is killed
+    cannot end its children, which would wait for tasks without end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()

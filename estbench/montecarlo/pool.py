@@ -28,7 +28,7 @@ POLL = 1.0
 
 @dataclass(frozen=True)
 class Failed(Generic[T]):
-    """A task that gave no result, and why."""
+    """A task without a result, and its error."""
 
     task: T
     error: Exception
@@ -36,18 +36,18 @@ class Failed(Generic[T]):
 
 @dataclass(frozen=True)
 class Pool:
-    """How to make an executor, how many tasks it works on at once, and how to abandon it."""
+    """How to make an executor, how many tasks it runs at once, and how to abandon it."""
 
     make: Callable[[], Executor]
     workers: int
     abandon: Callable[[Executor], None]
     queue: int
-    """Tasks handed over at once; with processes only those under way, so that a death has few
-    suspects."""
+    """Tasks submitted at once. Processes get only as many as run at once, so that few tasks can be
+    the cause of a worker's death."""
     local: bool = False
-    """Whether tasks share this process's memory."""
+    """Whether tasks run in this process's memory."""
     lost: Callable[[], bool] = lambda: False
-    """Whether the workers have gone for good and say nothing of it."""
+    """Whether the workers are gone although their futures do not end."""
 
 
 def execute(
@@ -57,14 +57,14 @@ def execute(
     stop: Callable[[], None] = lambda: None,
     retries: int = 2,
 ) -> Generator[tuple[T, Any] | Failed[T], None, None]:
-    """Results as they come, in any order; a task that raised or whose worker died is `Failed`.
+    """Results in the order of completion; a task that raised or whose worker died is `Failed`.
 
     Args:
         function: called with each task; for processes it must be importable.
         tasks: hashable.
-        using: from `pool`.
-        stop: called when the loop is left early, before the executor is abandoned.
-        retries: how often a task whose worker died is tried again, alone.
+        using: the workers, from `executors.pool`.
+        stop: called if the loop is left early, before the executor is abandoned.
+        retries: how often a task whose worker died is run again, alone.
     """
     fresh, suspects = deque(tasks), deque[T]()
     deaths: Counter[T] = Counter()
@@ -73,8 +73,8 @@ def execute(
     executor = using.make()
     try:
         while fresh or suspects or waiting:
-            # Suspects run alone, after the others: if one dies again, it is known which. While
-            # nothing has succeeded they go first, so that what cannot work ends soon.
+            # Suspects run alone, after the others: if a worker dies again, the task is known. As
+            # long as no task has succeeded they run first, so that a hopeless run ends soon.
             alone = bool(suspects) and not (fresh and succeeded)
             source, limit = (suspects, 1) if alone else (fresh, using.queue)
             broken = False
@@ -82,13 +82,13 @@ def execute(
                 task = source.popleft()
                 try:
                     waiting[executor.submit(function, task)] = task
-                except BrokenExecutor:  # a worker died meanwhile; this task is no suspect
+                except BrokenExecutor:  # a worker died before; this task is no suspect
                     source.appendleft(task)
                     broken = True
-                except Exception as error:  # a cluster that was lost takes no more
+                except Exception as error:  # a lost cluster accepts no tasks
                     yield Failed(task, ExecutorError(f"{LOST} ({type(error).__name__}: {error})"))
             finished, _ = wait(waiting, POLL, FIRST_COMPLETED) if waiting else ((), ())
-            if not finished and using.lost():  # its futures would never be done
+            if not finished and using.lost():  # its futures would never end
                 for task in (*waiting.values(), *suspects, *fresh):
                     yield Failed(task, ExecutorError(LOST))
                 using.abandon(executor)
@@ -132,7 +132,7 @@ LOST = "the cluster was lost; go on with --resume"
 
 
 def _ours(error: Exception) -> Exception:
-    """The error of a task; those of a cluster that lost it, in our words."""
+    """The error of a task, with a clear message where a cluster lost it."""
     if isinstance(error, CancelledError):
         return ExecutorError(LOST)
     if type(error).__name__ == "KilledWorker":  # distributed.scheduler.KilledWorker

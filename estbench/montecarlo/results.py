@@ -1,4 +1,4 @@
-"""The results of one experiment: what Python gets back, and what is printed."""
+"""The results of one experiment: what `estbench.run` returns and the command prints."""
 
 import json
 import textwrap
@@ -38,12 +38,12 @@ class Results:
         scenario: as resolved.
         names, units: of the tangent coordinates.
         times: instants, s.
-        steps: control steps of a run; readings between them make more instants.
+        steps: control steps of each run; readings between them add instants.
         runs: numbers of the finished runs.
-        summaries: one an estimator.
+        summaries: one per estimator.
         records: label -> per-run and per-step arrays (`records.SUMMARY`).
-        notices: what was assumed where the scenario is silent.
-        folder: where it was written, or None.
+        notices: assumptions where the scenario says nothing, and warnings.
+        folder: of the stored results, or None.
         interrupted: whether Ctrl-C cut it short.
         failed: batches that could not be computed; a notice says why.
     """
@@ -72,7 +72,7 @@ class Results:
 
     @property
     def length(self) -> str:
-        """How long a run is: control steps, and instants where readings fall between them."""
+        """Length of each run: control steps, and instants if readings fall between steps."""
         instants = len(self.times) - 1
         between = "" if instants == self.steps else f", {instants} instants"
         return f"{self.steps} steps{between}"
@@ -165,7 +165,7 @@ def _accuracy(
 ) -> Group:
     """Statistics per coordinate: RMSE alone where there are many estimators."""
     detailed = len(summaries) <= 3
-    # Beside RMSE what is over the same runs, then what is over all of them.
+    # First the statistics over the same runs as RMSE, then those over all runs.
     found = sorted(statistics.shown("run", "coordinate"), key=lambda s: s.all_runs)
     groups = []
     for summary in summaries:

@@ -1,4 +1,4 @@
-"""Monte Carlo: many runs in batches on workers, interruptible, every finished run kept."""
+"""Monte Carlo experiments: batches of runs on workers, interruptible, finished runs are kept."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from estbench.scenario.load import Chosen, Scenario, resolve
 from estbench.store.zarr import Store
 
 Say = Callable[[str], None]
-"""Called with a line that is better read before the runs are computed than after."""
+"""Called with a notice that the user should read before the runs are computed."""
 
 
 def run(
@@ -44,31 +44,31 @@ def run(
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
-        estimators: labels, names or classes to run in place of the scenario's; one needs no list.
+        estimators: labels, names or classes, in place of the scenario's; one needs no list.
         runs: Monte Carlo runs, in place of the scenario's.
         seed: in place of the scenario's.
         duration: s, in place of the scenario's.
         overrides: `section.key=value` strings.
-        out: folder to write the results to; None writes nothing.
-        keep: what the store keeps of every run; `auto` is `diagonal` while the traces of all runs
-            take at most 1 GiB (`batches.TRACES_BYTES`), else `summary`, which is said.
-        dtype: of the stored traces; default `float64`, or that of the store to go on with.
-        resume: go on with `out` if it exists: only what is missing is computed.
+        out: folder of the results; None writes nothing.
+        keep: what is stored of each run; `auto` is `diagonal` if the traces of all runs take at
+            most 1 GiB (`batch.TRACES_BYTES`), else `summary`, with a notice.
+        dtype: of the stored traces; default `float64`, or that of the resumed store.
+        resume: continue `out` if it exists: only missing batches are computed.
         shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
         executor: `threads`, `processes` (spawned, so that a script needs its
             `if __name__ == "__main__":`), `auto` (processes for long work on many CPUs), or `dask`.
         address: of the dask scheduler.
-        workers: threads or processes; default the CPUs this process may use, as far as the memory
-            goes.
-        batch_size: runs a batch; default by memory. It does not change the results.
-        progress: called after every batch.
-        say: called with a notice of a store that was begun under other versions.
+        workers: count of threads or processes; default the CPUs this process may use, or as many
+            as the memory allows.
+        batch_size: runs per batch; default by memory. It does not change the results.
+        progress: called after each batch.
+        say: called with the warning about a store that was begun with other versions.
 
     Returns:
-        The results; `print` shows the tables. After Ctrl-C those of the finished runs.
+        The results; `print` shows the tables. After Ctrl-C, the results of the finished runs.
 
     Raises:
-        EstbenchError: anything wrong with the input, before anything is written.
+        EstbenchError: the input is wrong; nothing has been written.
     """
     stored = dtype or "float64"
     _check(out, keep, stored, resume, shard, executor, address, workers, batch_size)
@@ -102,7 +102,7 @@ def run(
             done, failed, interrupted = dispatch.compute(
                 prepared, wanted, target.keep, using, target, done, progress
             )
-            if interrupted:  # a worker may have written what it had no time to report
+            if interrupted:  # a worker may have written a batch and not reported it
                 done = {**_finished(target)[0], **done}
         finally:
             if not done and shard is None:
@@ -131,7 +131,7 @@ def _check(
     workers: int | None,
     batch_size: int | None,
 ) -> None:
-    """Refuse arguments that are wrong by themselves, or that exclude each other."""
+    """Check the arguments, each by itself and in combination."""
     if shard is not None and not 1 <= shard[0] <= shard[1]:
         raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
     for name, value in (("batch_size", batch_size), ("workers", workers)):
@@ -154,7 +154,7 @@ def _check(
 
 
 def _level(prepared: Setup, keep: str, dtype: str, stored: bool) -> tuple[str, tuple[str, ...]]:
-    """What to keep of every run, and what to say of it."""
+    """What is stored of each run, and a notice about it."""
     if keep != "auto":
         return keep, ()
     level = batch.default_keep(prepared, dtype)
@@ -168,7 +168,7 @@ def _level(prepared: Setup, keep: str, dtype: str, stored: bool) -> tuple[str, t
 
 
 def _pool(prepared: Setup, kind: str, address: str | None, workers: int | None, size: int) -> Pool:
-    """The workers, as many as fit."""
+    """The pool, with as many workers as fit the machine."""
     if kind == "auto":
         scenario = prepared.scenario
         steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
@@ -185,7 +185,7 @@ def _open(
     resume: bool,
     shard: tuple[int, int] | None,
 ) -> Store:
-    """A new store, or the one to go on with; of several shards the first comer makes it."""
+    """A new store, or the resumed one; of several shards the first makes it."""
     if (resume or shard is not None) and folder.exists():
         return Store.reopen(folder, prepared)
     try:
@@ -201,7 +201,7 @@ def _share(target: Store, shard: tuple[int, int]) -> range:
 
 
 def _finished(target: Store) -> tuple[dict[int, dict[str, Record]], list[int]]:
-    """Summary records of the batches that are done, and the batches found corrupted."""
+    """Summary records of the finished batches, and the numbers of the corrupted ones."""
     done, corrupted = {}, []
     for index in range(len(target.batches)):
         if target.finished(index):
@@ -222,7 +222,7 @@ def _collect(
     interrupted: bool,
     notices: Sequence[str] = (),
 ) -> Results:
-    """The results of the batches that are done."""
+    """The results of the finished batches."""
     if not done and failed:
         raise next(iter(failed.values()))
     if not done:

@@ -1,4 +1,4 @@
-"""One batch of runs, wherever it is computed: build what it needs, run it, write it."""
+"""One batch of runs on a worker: build the experiment, run the batch, write it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from estbench.store.zarr import Store
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker is told; small, so that it travels.
+    """The task of a worker: small, as it is sent to other processes.
 
     Attributes:
         toml: the resolved scenario.
         keep: `summary`, `diagonal` or `full`.
         folder: store to write to, or None.
-        index: of the batch.
+        index: number of the batch.
         runs: first run and the one after the last.
     """
 
@@ -38,12 +38,12 @@ def work(
     stop: Callable[[], bool] = lambda: False,
     prepared: Setup | None = None,
 ) -> dict[str, Record] | None:
-    """Compute and write a batch; its summary records, or None when `stop` answered True.
+    """Compute and write a batch; its summary records, or None if `stop` answered True.
 
     Args:
-        task: what to do.
-        stop: asked at every instant.
-        prepared: what the task's scenario stands for, where the caller shares its memory.
+        task: the batch.
+        stop: called at every instant; True ends the batch.
+        prepared: the experiment of the task's scenario, if the caller has it in memory.
 
     Raises:
         EstbenchError: the batch cannot be computed or written.

@@ -1,4 +1,4 @@
-"""An empty store: every array declared, one chunk a batch, a checksum on every chunk."""
+"""An empty store: every array is declared, with one chunk per batch and a checksum per chunk."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,9 +25,9 @@ def declare(
 
     Args:
         root: an empty group.
-        setup: what is run.
+        setup: the experiment.
         keep: `summary`, `diagonal` or `full`.
-        batches: the runs of each batch, all but the last of one length.
+        batches: the runs of each batch; all but the last have the same length.
         dtype: of the traces, `float64` or `float32`; averages are always float64.
     """
     space, seen = setup.space, readings(setup.channel_spaces)
@@ -88,7 +88,7 @@ def declare(
 
 
 def provenance(scenario: Scenario) -> dict[str, Any]:
-    """Versions and seed as attributes: a function of the scenario and what is installed."""
+    """Attributes of a store: scenario, seed, installed versions, estimators."""
     return {
         "scenario": scenario.name,
         "seed": scenario.simulation.seed,
