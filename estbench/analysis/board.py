@@ -30,13 +30,13 @@ MARGIN = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """One robot.
+    """The results of one robot.
 
     Attributes:
-        name: the scenario's.
+        name: of the scenario.
         results: of all its estimators.
         ranks: in order.
-        skipped: estimator -> why it does not suit.
+        skipped: estimator -> why it is not suitable.
     """
 
     name: str
@@ -45,14 +45,14 @@ class Board:
     skipped: dict[str, str]
 
     def accuracy(self, label: str) -> tuple[Accuracy, ...]:
-        """RMSE of each unit's coordinates together."""
+        """RMSE of the coordinates of each unit together."""
         r = self.results
         level = r.scenario.consistency.level
         return accuracies(r.records[label], r.names, r.units, level, 0.02)
 
 
 def markdown(boards: Sequence[Board]) -> str:
-    """The tables, with what it takes to make them again."""
+    """The tables, with the command and the versions that reproduce them."""
     first = boards[0].results
     versions = provenance(first.scenario)["versions"]
     shown = ", ".join(f"{name} {version}" for name, version in versions.items())
@@ -117,7 +117,7 @@ def _table(board: Board) -> Table:
 
 
 def _statistics(place: Literal["board", "board_csv"]) -> list[Statistic]:
-    """Those that the leaderboard shows: one value per estimator, RMSE one per unit."""
+    """The statistics of the leaderboard: one value per estimator, RMSE one per unit."""
     return [s for s in statistics.STATISTICS if place in s.places and (s.per == "run" or s is RMSE)]
 
 
@@ -129,7 +129,7 @@ def _values(board: Board, summary: Summary, s: Statistic) -> list[Interval | flo
 
 
 UNITS = {"m": "m", "rad": "rad", "m/s": "m_per_s", "rad/s": "rad_per_s"}
-"""As they are written in a column's name."""
+"""Units in column names."""
 
 
 def to_csv(boards: Sequence[Board]) -> str:
@@ -188,7 +188,7 @@ def _row(board: Board, rank: Rank, summary: Summary) -> dict[str, Any]:
 
 
 def _cell(x: float) -> str:
-    """Six digits: more than the intervals leave, and the same on every machine."""
+    """Six digits: more than the intervals justify, and the same on every machine."""
     return f"{x:.6g}" if np.isfinite(x) else ""
 
 

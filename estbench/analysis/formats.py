@@ -11,7 +11,7 @@ FORMATS = ("text", "markdown", "csv", "latex", "json")
 
 
 def check(format_: str) -> None:
-    """Refuse an unknown format before anything is read.
+    """Check the format before any store is read.
 
     Raises:
         AnalysisError: there is no such format.

@@ -11,14 +11,14 @@ from estbench.montecarlo.run import run
 from estbench.scenario.load import bundled, resolve
 
 RUNS = 60
-"""By default: all of it takes minutes on two cores, and NEES/n is known to a few percent."""
+"""Default count of runs: minutes on two cores; NEES/n is known to a few percent."""
 MAIN = (
     "kf", "lkf", "ekf", "iekf", "sr_ekf", "cd_ekf", "ukf", "sr_ukf", "ckf", "ghkf", "enkf", "pf",
     "imm", "robust_ekf", "adaptive_ekf",
 )  # fmt: skip
-"""Estimators that need no setting to be run on any robot."""
+"""Estimators that run on any robot without settings."""
 LARGEST = {"pf": 2}
-"""Most coordinates with which an estimator is of use: particles needed grow exponentially."""
+"""Most coordinates for an estimator: the particles needed grow exponentially with them."""
 
 
 def play(
@@ -28,18 +28,18 @@ def play(
     workers: int | None = None,
     duration: float | None = None,
 ) -> Board:
-    """Run the estimators that suit on a bundled scenario with its own seed.
+    """Run the suitable estimators on a bundled scenario with its own seed.
 
     Args:
         name: the scenario.
-        runs: how many.
+        runs: count of runs.
         estimators: names; one that cannot be built on this robot is skipped.
-        workers: default the CPUs there are.
+        workers: default the CPUs this process may use.
         duration: s; default the scenario's.
 
     Raises:
         AnalysisError: none of them suits.
-        KeyboardInterrupt: it was interrupted; half a table is none.
+        KeyboardInterrupt: it was interrupted; no partial table is made.
     """
     skipped: dict[str, str] = {}
     chosen = []
@@ -70,7 +70,7 @@ def play(
 
 
 def write(boards: Sequence[Board], out: Path) -> tuple[Path, Path]:
-    """Write `leaderboard.md` and `leaderboard.csv` into a folder, and say where they are.
+    """Write `leaderboard.md` and `leaderboard.csv` into a folder, and return their paths.
 
     Raises:
         StoreError: it cannot be written.
@@ -100,8 +100,8 @@ def reproduce(
         runs: of each robot.
         scenarios: bundled names; default the robots, without their variants.
         estimators: names.
-        workers: default the CPUs there are.
-        say: told what is being done.
+        workers: default the CPUs this process may use.
+        say: called with a line about each robot.
 
     Raises:
         AnalysisError: a setting is out of range, or no such scenario.
@@ -111,7 +111,7 @@ def reproduce(
         raise AnalysisError(f"runs is {runs}; a comparison needs at least 2")
     names = scenarios or robots()
     for name in names:
-        resolve(name, runs=runs)  # refuses it before the others have been run
+        resolve(name, runs=runs)  # raises before any robot is run
     boards = []
     for name in names:
         say(f"{name}: {runs} runs of {len(estimators)} estimators")
@@ -120,5 +120,5 @@ def reproduce(
 
 
 def robots() -> list[str]:
-    """The bundled scenarios that are a robot's own; the others are variants of one."""
+    """The bundled scenarios named as their robot; the others are variants."""
     return sorted(name for name, path in bundled().items() if path.stem == "scenario")

@@ -1,4 +1,4 @@
-"""The numbers of a comparison in full: nested for JSON, one a row for CSV."""
+"""All numbers of a comparison: nested for JSON, one per row for CSV."""
 
 import csv
 import io
@@ -19,7 +19,7 @@ from estbench.tables.cells import per_coordinate, plain, value_of
 
 
 def to_dict(comparison: Comparison) -> dict[str, Any]:
-    """Plain numbers; one that is not finite becomes None."""
+    """Plain numbers for JSON; None where a number is not finite."""
     return {
         "level": comparison.level,
         "margin": comparison.margin,
@@ -66,7 +66,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
 
 def _estimator(f: Findings) -> dict[str, Any]:
     s, white = f.summary, f.whiteness
-    # The median of NEES/n stands, with its interval, beside the mean.
+    # The median of NEES/n, with its interval, is in the object of the mean.
     runs = {x.json_key: plain(value_of(s, x)) for x in _of_runs()}
     runs[ANEES.json_key] |= {"trimmed": plain(f.anees_trimmed), "median": plain(f.anees_median)}
     names, units = f.stored.names, f.stored.units
@@ -103,7 +103,7 @@ def _estimator(f: Findings) -> dict[str, Any]:
 
 
 def _of_runs() -> list[Statistic]:
-    """The statistics with one value per estimator; the median of NEES/n has a place of its own."""
+    """The statistics with one value per estimator, without the median of NEES/n."""
     return [s for s in statistics.of("run") if s is not ANEES_MEDIAN]
 
 
@@ -121,7 +121,7 @@ COLUMNS: tuple[str, ...] = (
 
 
 def to_csv(comparison: Comparison) -> str:
-    """One number a row, with its interval; an empty cell where there is none."""
+    """One number per row, with its interval; an empty cell where there is none."""
     file = io.StringIO()
     writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""The tables of a comparison, as they are read by people."""
+"""The tables of a comparison for text, Markdown and LaTeX."""
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def _by_coordinate(contest: Contest) -> list[Table]:
 
 
 def few_runs(runs: int, estimators: int, level: float) -> str:
-    """A warning where there are too few runs to tell anything apart, else nothing."""
+    """A warning if the runs are too few for any significant difference, else an empty text."""
     needed = fewest_runs(estimators, level)
     if runs >= needed or estimators < 2:
         return ""

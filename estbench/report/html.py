@@ -30,9 +30,9 @@ except ImportError:
     raise MissingExtraError("plotly or jinja2", "report") from None
 
 SHOWN_ENTRIES, SHOWN_COORDINATES = 4, 8
-"""How many are drawn before the reader chooses."""
+"""How many entries and coordinates are drawn at first."""
 NAMED = 6
-"""How many estimators the page's title names."""
+"""Most estimators in the page's title."""
 SECTIONS = (
     ("verdicts", "Verdicts"), ("scenario", "Scenario"), ("comparison", "Comparison"),
     ("error", "Error"), ("consistency", "Consistency"), ("rmse", "RMSE"),
@@ -49,13 +49,13 @@ def write_report(
     video: bool = True,
     say: Say = lambda line: None,
 ) -> Path:
-    """Write the report of some results folders.
+    """Write the report of results folders.
 
     Args:
-        folders: as `estbench run` wrote them, all of one robot.
+        folders: written by `estbench run`, all of one robot.
         out: the file; default `report.html` in the first folder.
-        estimators: labels to take; default all.
-        video: whether to embed clips of the best and of the worst run where they can be drawn.
+        estimators: labels to show; default all.
+        video: whether to embed clips of the best and of the worst run, if they can be drawn.
         say: called with a line about each slow part.
 
     Returns:
@@ -145,14 +145,14 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
 
 
 def _raw(text: str) -> Any:
-    """Text that goes into a script or style as it is; nothing in it may close the element."""
+    """Text for a script or style element, unescaped; nothing in it may close the element."""
     from markupsafe import Markup
 
     return Markup(text.replace("</script", "<\\/script").replace("</style", "<\\/style"))
 
 
 def _worst(entry: Entry, chosen: Sequence[data.Chosen]) -> str:
-    """The run shown first: the worst of the first entry."""
+    """The run shown first: the worst one of the first entry."""
     if not chosen:
         return ""
     anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)
@@ -167,7 +167,7 @@ def _data(
     points: int,
     shown_run: str,
 ) -> str:
-    """What the page's script reads, as JSON."""
+    """The data for the page's script, as JSON."""
     runs: dict[str, dict[str, Any]] = {}
     for choice in chosen:
         runs[str(choice.run)] = {}

@@ -1,4 +1,4 @@
-"""Every two entries compared run by run, with the tests of `analysis.comparison`."""
+"""Comparison of all pairs of entries run by run, with the tests of `analysis.comparison`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,10 +22,10 @@ class Difference:
     Attributes:
         entry, baseline: keys.
         cost: ratio.
-        score: over all coordinates, as `estbench compare` ranks: ratio of RMSE, Holm's p-values
-            over all pairs of entries, and whether the two are told apart.
-        nees: of the runs' NEES/n.
-        rmse: of the runs' RMSE, one a coordinate, in its unit.
+        score: over all coordinates, as in `estbench compare`: ratio of RMSE, Holm's p-values over
+            all pairs of entries, and whether the two differ.
+        nees: comparison of the runs' NEES/n.
+        rmse: comparison of the runs' RMSE, one per coordinate, in its unit.
         p: Wilcoxon's p-values of NEES/n and each RMSE `(1 + n,)`, after Holm's correction over all
             these quantities of all pairs.
     """
@@ -47,7 +47,7 @@ class Difference:
 
 
 def differences(entries: Sequence[Entry]) -> list[Difference]:
-    """Each entry minus each other one, over the runs that all the sources have; [] if none."""
+    """Each entry minus each other one, over the runs that all sources have; [] without any."""
     runs = reduce(np.intersect1d, [entry.source.runs for entry in entries])
     if len(entries) < 2 or not len(runs):
         return []

@@ -1,4 +1,4 @@
-"""`estbench sensors`: a table of a scenario's channels, what is wrong with each in words."""
+"""`estbench sensors`: a table of the channels of a scenario, their imperfections in words."""
 
 from collections.abc import Iterator
 
@@ -45,13 +45,13 @@ def render(setup: Setup) -> Group:
 
 
 def rate(channel: Channel) -> float:
-    """Readings a second."""
+    """Readings per second, Hz."""
     timing = channel.timing
     return 1 / ((timing.uneven[1] if timing.uneven else timing.period) * timing.timestep)
 
 
 def latency(channel: Channel) -> str:
-    """`80 ms`, `80 ± 10 ms`, `2 s` or nothing."""
+    """`80 ms`, `80 ± 10 ms`, `2 s` or an empty text."""
     timing = channel.timing
     mean, std = (t * timing.timestep for t in (timing.latency, timing.latency_std))
     if not (mean or std):
@@ -61,7 +61,7 @@ def latency(channel: Channel) -> str:
 
 
 def words(channel: Channel) -> Iterator[str]:
-    """What is wrong with a channel beside its white noise, in units of its reading."""
+    """The imperfections of a channel beside white noise, in units of its reading."""
     timing = channel.timing
     if channel.schedule is not None:
         yield "noise by schedule"
@@ -102,7 +102,7 @@ def _flaws(part: Imperfections) -> Iterator[str]:
 
 
 def _believed(setup: Setup) -> Iterator[str]:
-    """Where the filter believes something else."""
+    """The channels of which the filter believes something else."""
     section = setup.scenario.filter
     for channel in setup.channels:
         belief = section.channels.get(channel.name, BelievedChannelSection())
@@ -126,5 +126,5 @@ def _believed(setup: Setup) -> Iterator[str]:
 
 
 def numbers(values: Array) -> str:
-    """One number where all are the same, else all of them."""
+    """One number if all are equal, else all of them."""
     return " ".join(dict.fromkeys(f"{v:.3g}" for v in values))

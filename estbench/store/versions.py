@@ -16,7 +16,7 @@ def installed() -> dict[str, str]:
 
 
 def known(attrs: Mapping[str, Any]) -> list[dict[str, str]]:
-    """The versions in a store's attributes: first those it was begun with, then those of resumes."""
+    """The versions in a store's attributes: the first ones, then those of resumes."""
     return [dict(v) for v in (attrs.get("versions", {}), *attrs.get("continued", ()))]
 
 

@@ -1,4 +1,4 @@
-"""`estbench sensors --out`: a few seconds of true against measured, a panel a channel."""
+"""`estbench sensors --out`: true and measured readings over time, one panel per axis."""
 
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ from estbench.simulation.truth import simulate
 from estbench.tables.destination import check_file
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe & Ito's, one an axis."""
+"""Colours of Okabe & Ito, one per axis."""
 COLUMNS = 3
 FORMATS = ("png", "pdf", "svg")
 
@@ -35,7 +35,7 @@ class Record:
         taken: s, when each reading was taken.
         arrived: s, when it arrived.
         measured: the readings `(reading, m)`.
-        lost: s, when a reading was due that never came.
+        lost: s, when the readings that never arrived were due.
     """
 
     channel: Channel
@@ -48,12 +48,12 @@ class Record:
 
 
 def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
-    """What the channels of one run say in its first seconds, the controller seeing the truth.
+    """The readings in the first seconds of one run; the controller sees the truth.
 
     Args:
         setup: of the scenario.
-        seconds: how long; the run may be shorter.
-        run: its number.
+        seconds: duration; the run may be shorter.
+        run: number of the run.
 
     Raises:
         EstbenchError: not even the first instant lies within `seconds`.
@@ -78,7 +78,7 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
                 if d.channel == channel.name and (d.mask is None or d.mask[0])
             ]
             due = {k for k in range(shown) if channel.name in setup.instants[k].channels}
-            # What is still under way when the run ends is not lost.
+            # A reading that may arrive after the end of the run is not lost.
             late = channel.timing.longest * channel.timing.timestep
             lost = [k for k in due - {c[0] for c in all_came} if ends[k] + late <= ends[-1]]
             came = [c for c in all_came if c[1] < shown]
@@ -100,7 +100,7 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
 
 
 def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
-    """Draw the channels into a file, whose suffix says the format.
+    """Draw the channels into a file; its suffix is the format.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -118,10 +118,10 @@ def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
 
 
 def draw(records: Sequence[Record], title: str) -> Any:
-    """A matplotlib figure: the true reading as a line, what was measured as points.
+    """A matplotlib figure: true readings as lines, measured readings as points.
 
-    A point stands when its reading was taken; with latency a thin line leads to when it arrived.
-    Readings that never came are marks at the foot. Each axis has a panel and a scale of its own.
+    A point is at the time when its reading was taken; with latency a thin line leads to the time of
+    arrival. Lost readings are marks at the foot. Each axis has its own panel and scale.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -137,7 +137,7 @@ def draw(records: Sequence[Record], title: str) -> Any:
     ]
     counts = [len(axes) for _, axes in rows]
     cells = 6  # one, two or three panels fit into a row
-    # The time is said where the panels below are not as wide.
+    # The time axis is labelled where the panels below have another width.
     timed = [counts[row : row + 2] != [count] * 2 for row, count in enumerate(counts)]
     width, height = 3.2 + 2.9 * max(counts), 0.7 + 1.7 * len(rows) + 0.3 * sum(timed)
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -158,7 +158,7 @@ def draw(records: Sequence[Record], title: str) -> Any:
 
 
 def _key(records: Sequence[Record]) -> str:
-    """What the signs in the picture mean."""
+    """The legend of the picture, in words."""
     signs = ["true (lines) and measured (points)"]
     signs += ["thin lines lead to the arrival"] if any(_late(r).any() for r in records) else []
     signs += ["marks at the foot are lost readings"] if any(len(r.lost) for r in records) else []
@@ -166,12 +166,12 @@ def _key(records: Sequence[Record]) -> str:
 
 
 def _late(one: Record) -> NDArray[np.bool_]:
-    """Which readings arrive after they were taken `(reading,)`."""
+    """Whether each reading arrives later than it was taken `(reading,)`."""
     return one.arrived - one.taken > 1e-9
 
 
 def _panel(ax: Any, one: Record, axis: int, letters: int) -> None:
-    """One axis of one channel; with `letters` a line, the title says what the channel is."""
+    """One axis of one channel; with `letters` per line above 0 the title names the channel."""
     space, y = one.channel.space, one.measured[:, axis]
     colour = COLOURS[axis % len(COLOURS)]
     size = float(np.clip(90 / np.sqrt(len(one.taken) + 1), 3.0, 16.0))
@@ -196,7 +196,7 @@ def _panel(ax: Any, one: Record, axis: int, letters: int) -> None:
 
 
 def _described(one: Record, axis: str) -> Iterator[str]:
-    """The channel in words; its name where that of the axis does not tell it."""
+    """The channel in words, with its name unless the axis begins with it."""
     channel = one.channel
     if not axis.startswith(channel.name):
         yield channel.name

@@ -1,4 +1,4 @@
-"""The page's figures that are not over time: verdicts, coverage, densities, correlation, cost."""
+"""The page's other figures: verdicts, coverage, densities, correlation, cost."""
 
 import hashlib
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ def verdict(material: Material) -> Drawing:
 
 
 def coverage(material: Material, k: int) -> Drawing:
-    """Share of errors within so many σ, a dot a coordinate."""
+    """Share of errors within kσ, one dot per coordinate."""
     names = material.names
     expected = EXPECTED[k]
     drawn = [(j, e, c) for j, (e, c) in enumerate(zip(material.entries, material.coverage)) if c]
