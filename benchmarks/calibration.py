@@ -8,8 +8,10 @@ import argparse
 import time
 
 from estbench.analysis.calibration import calibrate, oscillator, sample, vehicle
-from estbench.analysis.tables import Table, percent, text
-from estbench.consistency.nees import mean_interval
+from estbench.consistency.intervals import mean_interval
+from estbench.tables.columns import Table, tabulate
+from estbench.tables.quantity import percent
+from estbench.tables.writers import text
 
 RUNS = (5, 10, 20, 50, 100, 200)
 MODELS = {
@@ -48,18 +50,18 @@ def tables(total: int, experiments: int) -> list[Table]:
             found = [calibrate(values[: experiments * runs], runs) for values in wrong.values()]
             power.append((name, str(runs), *(percent(c.refused, 0) for c in found)))
     return [
-        Table(
+        tabulate(
             "False alarms of a consistent filter, tolerance 0, level 95%",
             ("<model", "runs", "times", "refused", "over-", "cons.", "undecided",
              "Student's t", "over-", "cons."),
-            tuple(alarms),
+            alarms,
             "5% refused is right, 2.5% each as overconfident and as conservative. Undecided: not "
             "refused, but the interval is wider than ± 0.25.",
         ),
-        Table(
+        tabulate(
             "Power: share of experiments in which a wrong Q is found out",
             ("<model", "runs", "Q x 0.5", "Q x 2"),
-            tuple(power),
+            power,
         ),
     ]  # fmt: skip
 

@@ -17,7 +17,7 @@ from mujoco.batch import Batch
 
 from benchmarks.floor import floor
 from estbench.experiment import setup
-from estbench.montecarlo import executors
+from estbench.montecarlo import batch, executors
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
 from estbench.scenario import load as scenario
@@ -48,11 +48,11 @@ def ours(prepared: setup.Setup, threads: int) -> float:
 def over_floor(prepared: setup.Setup) -> float:
     """Wall time of all runs on one thread over the time inside their Batch calls."""
     runs = range(prepared.scenario.simulation.runs)
-    size = experiment.default_batch_size(prepared, "summary")
+    size = batch.default_batch_size(prepared, "summary")
     with engine(), floor() as inside:
         began = time.perf_counter()
         for i in range(0, len(runs), size):
-            experiment.run_batch(prepared, runs[i : i + size], "summary")
+            batch.run_batch(prepared, runs[i : i + size], "summary")
         return (time.perf_counter() - began) / inside.seconds
 
 

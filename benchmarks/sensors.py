@@ -21,6 +21,7 @@ from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
 from estbench.inference.event_loop import Recorded, run_filter
 from estbench.montecarlo import run as experiment
+from estbench.montecarlo.batch import traced
 from estbench.robots.library import engine
 from estbench.simulation.truth import simulate
 
@@ -65,7 +66,7 @@ def seconds(overrides: Sequence[str], estimators: Sequence[str], count: int) -> 
         for first in range(0, count, BATCH):
             runs = range(first, min(first + BATCH, count))
             if estimators:
-                for _ in experiment.traced(prepared, runs):
+                for _ in traced(prepared, runs):
                     pass
             else:
                 period = prepared.plant.period

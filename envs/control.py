@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.envs.errors import EnvError
 from estbench.envs.world import World, prepare
 from estbench.errors import did_you_mean

@@ -4,7 +4,7 @@ from rich.console import Group
 from rich.text import Text
 
 from estbench.envs.control import RAW, TRUTH, Comparison
-from estbench.tables.columns import Column, Columns
+from estbench.tables.columns import Column, Table
 from estbench.tables.quantity import quantity
 
 
@@ -24,7 +24,7 @@ def render(comparison: Comparison) -> Group:
         Column("failed", tuple(Text(f"{n}/{runs}", style="red" if n else "") for n in failures)),
     )
     keys = (Column("controller sees", labels, "left"),)
-    table = Columns(keys, tuple((column,) for column in columns))
+    table = Table(keys, tuple((column,) for column in columns))
     caption = (
         "cost is the task's, mean a step, of the runs that did not fail. minus truth, minus raw:\n"
         "paired differences (same robot, same noise) over the runs that failed with neither.\n"

@@ -14,7 +14,7 @@ from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.callbacks import BaseCallback  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.vec_env import VecNormalize  # pyright: ignore[reportMissingImports]
 
-from estbench.consistency.nees import mean_interval
+from estbench.consistency.intervals import mean_interval
 from estbench.envs.sb3 import BatchVecEnv
 
 ID = "estbench/CartPole-v0"

@@ -3,13 +3,12 @@
 import xarray as xr
 
 import estbench
-from estbench.montecarlo import run as experiment
 
 ARGUMENTS = {"estimators": ["ekf"], "runs": 40, "duration": 0.3, "batch_size": 5}
 
 
 def run(out, **options):
-    return experiment.run("pendulum", **{**ARGUMENTS, **options}, out=out)
+    return estbench.run("pendulum", **{**ARGUMENTS, **options}, out=out)
 
 
 def same(a, b):

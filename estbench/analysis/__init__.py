@@ -1,1 +1,1 @@
-"""Statistics of many runs, from arrays or from stores: `estbench compare` and `reproduce`."""
+"""Comparison of estimators from stores, and the leaderboard: `estbench compare`, `reproduce`."""

@@ -1,8 +1,8 @@
-"""Is the verdict itself to be trusted? Whole experiments, many times over, on exact models.
+"""Calibration of the verdict: many whole experiments on models where the filter is exact.
 
-On a linear-Gaussian model the Kalman filter's covariance is right to the last digit, so that every
-"overconfident" or "conservative" is a false alarm, and a filter told a wrong Q is wrong by a known
-factor. The truth is simulated here with numpy alone, not by the code that is under test.
+On a linear-Gaussian model the Kalman filter's covariance is exact. Each "overconfident" or
+"conservative" is then a false alarm, and a filter with a wrong Q is wrong by a known factor. The
+truth is simulated with numpy alone, not with the code under test.
 """
 
 from collections.abc import Callable
@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from estbench.consistency.intervals import wilson
-from estbench.consistency.nees import Interval, Verdict, judge, positive_mean_interval
+from estbench.consistency.intervals import Interval, positive_mean_interval, wilson
+from estbench.consistency.nees import Verdict, judge
 from estbench.estimators.kf import KF
 from estbench.estimators.protocol import Estimator
 from estbench.models.linear import LinearModel
@@ -24,14 +24,14 @@ ROWS = 20_000
 
 
 def oscillator(dt: float = 0.1) -> LinearModel:
-    """A damped oscillator of 1 Hz shaken by a white force; its position is measured."""
+    """A damped oscillator of 1 Hz, driven by a white force; its position is measured."""
     w, zeta = 2 * np.pi, 0.1
     A = np.asarray(expm(np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]]) * dt), np.float64)
     return LinearModel(A, np.array([[1.0, 0.0]]), np.diag([1e-4, 0.1]), np.array([[0.01]]))
 
 
 def vehicle(dt: float = 0.1) -> LinearModel:
-    """Nearly constant velocity in the plane (Bar-Shalom et al. 2001, sec. 6.3.2), seen in both."""
+    """Nearly constant velocity in the plane, positions measured (Bar-Shalom et al. 2001, 6.3.2)."""
     block: Array = np.array([[1.0, dt], [0.0, 1.0]])
     noise: Array = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     A, C, Q = (_twice(a) for a in (block, np.array([[1.0, 0.0]]), noise))
@@ -39,7 +39,7 @@ def vehicle(dt: float = 0.1) -> LinearModel:
 
 
 def _twice(a: Array) -> Array:
-    """The matrix of two axes that do not touch each other."""
+    """The block-diagonal matrix of two independent axes."""
     return np.asarray(np.kron(np.eye(2), a), np.float64)
 
 
@@ -53,13 +53,13 @@ def averages(
     estimator: Callable[[LinearModel], Estimator] = KF,
     spread: float = 1.0,
 ) -> Array:
-    """NEES/n of each run, averaged over its steps `(run,)`: what the verdict is made from.
+    """NEES/n of each run, averaged over its steps `(run,)`.
 
     Args:
         truth: x⁺ = A x + w, y = C x + v.
-        runs: how many.
+        runs: count of runs.
         steps: of each run; the prior is left out of the average.
-        seed: of everything.
+        seed: of all random numbers.
         process_noise_scale: the filter's Q over the true one.
         estimator: a class of `estbench.estimators`.
         spread: standard deviation of each coordinate at the start, known to the filter.
@@ -82,14 +82,14 @@ def averages(
 
 @dataclass(frozen=True)
 class Calibration:
-    """How often an experiment of a size gives each verdict.
+    """How often experiments of one size give each verdict.
 
     Attributes:
-        runs: of one experiment.
-        experiments: how many.
-        refused: share called overconfident or conservative, with its Wilson interval.
-        above, below: shares called overconfident, conservative.
-        undecided: share called undecided.
+        runs: per experiment.
+        experiments: count of experiments.
+        refused: share with the verdict overconfident or conservative, with Wilson's interval.
+        above, below: share of overconfident and of conservative.
+        undecided: share of undecided.
     """
 
     runs: int
@@ -107,14 +107,14 @@ def calibrate(
     tolerance: float = 0.0,
     interval: Callable[[Array, float], Interval] = positive_mean_interval,
 ) -> Calibration:
-    """Cut runs into experiments, and judge each as `estbench run` would.
+    """Split runs into experiments, and judge each as `estbench run` does.
 
     Args:
         values: NEES/n of many runs `(run,)`.
-        runs: of one experiment; what is left over is not used.
+        runs: per experiment; a remainder is not used.
         level: of the verdict's interval.
         tolerance: of the verdict; 0 is the pure test.
-        interval: of the mean; another one for comparison.
+        interval: of the mean, to compare another one.
     """
     count = len(values) // runs
     verdicts = [
@@ -132,7 +132,7 @@ def calibrate(
 def sample(
     truth: LinearModel, total: int, steps: int, seed: int, process_noise_scale: float = 1.0
 ) -> Array:
-    """`averages` of very many runs, in pieces that fit the caches."""
+    """`averages` of many runs, in parts that fit the caches."""
     return np.concatenate(
         [
             averages(

@@ -1,4 +1,4 @@
-"""Results folders compared: what each estimator did, who is better, and what is only a tie."""
+"""Comparison of results folders: accuracy of each estimator, pairs, and a ranking with ties."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
 from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load_all
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 
 OWN = {"name", "description", "estimators", "filter", "consistency", "task"}
-"""Parts of a scenario that change neither the truth nor what is measured of it."""
+"""Sections of a scenario that change neither the truth nor the readings."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Estimators that saw the same truth and measurements, in one store or in several.
+    """Estimators with the same truth and readings, in one store or in several.
 
     Attributes:
         title: scenario, duration and seed.
         stores: the folders.
-        findings: one an estimator.
+        findings: one per estimator.
         runs: numbers of the runs that all stores have finished; pairs and ranks are over these.
-        pairs: of the scores, all there are.
+        pairs: comparisons of the scores of all pairs.
         ranks: in order.
-        nees: difference of NEES/n of each pair, over the runs that neither lost.
+        nees: difference of NEES/n of each pair, over the runs in which neither diverged.
     """
 
     title: str
@@ -43,7 +43,7 @@ class Contest:
     _rows: tuple[NDArray[np.intp], ...]
 
     def details(self) -> Iterator[tuple[tuple[Paired, ...], Paired]]:
-        """For each pair the comparisons of RMSE, one a coordinate, and that of NEES/n."""
+        """For each pair the comparison of RMSE per coordinate, and that of NEES/n."""
         level = self.stores[0].scenario.consistency.level
         place = {f.key: i for i, f in enumerate(self.findings)}
         values = [self._values(i) for i in range(len(self.findings))]
@@ -53,7 +53,7 @@ class Contest:
             yield rmse, paired(a, b, level)
 
     def _values(self, i: int) -> tuple[Array, Array]:
-        """RMSE `(run, n)` and NEES/n `(run,)` of an estimator, infinite where a run was lost."""
+        """RMSE `(run, n)` and NEES/n `(run,)` of an estimator, infinite where the run diverged."""
         record, rows = self.findings[i].record, self._rows[i]
         lost = record["diverged"][rows].astype(bool)
         rmse = np.sqrt(np.where(lost[:, None], np.inf, record["mse"][rows]))
@@ -62,13 +62,13 @@ class Contest:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Everything that `estbench compare` says.
+    """The result of `estbench compare`.
 
     Attributes:
         contests: one for each scenario and seed among the stores.
         level: confidence.
         margin: a relative difference that is too small to matter.
-        precision: wanted half-width, for the number of runs it takes.
+        precision: wanted half-width, for the number of runs needed.
     """
 
     contests: tuple[Contest, ...]
@@ -82,11 +82,11 @@ def compare_stores(
 ) -> Comparison:
     """Read results folders and compare their estimators.
 
-    Stores of one scenario and seed are compared with each other run by run, even if the filters
-    assume something else (`filter`, `consistency` and the estimators' settings may differ).
+    Stores of one scenario and seed are compared run by run, even if the assumptions of the filters
+    differ (`filter`, `consistency` and the estimators' settings).
 
     Args:
-        folders: as `estbench run` wrote them; unfinished ones count with the runs they have.
+        folders: written by `estbench run`; of unfinished ones the finished runs count.
         margin: a relative difference of errors that is too small to matter.
         precision: wanted relative half-width of RMSE, and half-width of ANEES/n.
 
@@ -142,7 +142,7 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
 
 
 def _same(scenario: Scenario) -> str:
-    """What two stores have in common when their runs can be paired."""
+    """A text that is the same for two stores whose runs can be paired."""
     dump = scenario.model_dump(mode="json", exclude=OWN)
     del dump["simulation"]["runs"]
     return repr(dump)

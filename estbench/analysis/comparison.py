@@ -1,8 +1,8 @@
 """Estimators compared in pairs on common random numbers, and ranked with their ties.
 
-Run i has one truth and one set of measurements whatever looks at it, so two estimators are compared
-run by run: what a run's luck does to both cancels. A value that is not finite stands for a run that
-was lost; it is worse than every other, and as bad as another lost run.
+Run i has the same truth and readings for all estimators, so two estimators are compared run by run:
+random effects common to both cancel. A value that is not finite marks a diverged ("lost") run: it
+is worse than every finite value and ties with every other lost run.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,28 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.shapes import Array
 
 ROUNDING = 1e-9
-"""Differences below this part of the values are of rounding, and count as none."""
+"""Differences below this part of the values are rounding errors, and count as ties."""
 TINY = 1e-300
-"""Stands for a squared error of zero, so that its logarithm is finite."""
+"""Least squared error, so that the logarithm is finite."""
 
 
 @dataclass(frozen=True)
 class Paired:
-    """One estimator minus another, over the runs that both have.
+    """Estimator a minus estimator b, over the runs that both have.
 
     Attributes:
-        runs: how many neither lost; the difference is over these.
+        runs: count of the runs lost by neither; the difference is over these.
         difference: mean of a - b with Student's t interval.
-        lost: share of the runs that a lost, less the share that b did.
-        less, more, ties: runs, lost ones included, in which a is below, above, as b.
+        lost: share of the runs lost by a minus the share lost by b.
+        less, more, ties: runs, lost ones included, in which a is below, above, equal to b.
         effect: (W₊ - W₋)/(W₊ + W₋) of the signed ranks, in [-1, 1]: below 0 where a is less.
-        sign: two-sided p-value of the exact sign test: is a below b as often as above?
-        wilcoxon: of Wilcoxon's signed-rank test: is a - b symmetric about 0? It is under the
-            hypothesis that the two are exchangeable.
+        sign: two-sided p-value of the exact sign test: a is below b as often as above.
+        wilcoxon: p-value of Wilcoxon's signed-rank test: a - b is symmetric about 0, as it is if
+            the two are exchangeable.
     """
 
     runs: int
@@ -49,14 +49,13 @@ class Paired:
 
 
 def paired(a: Array, b: Array, level: float = 0.95, scale: float | None = None) -> Paired:
-    """Compare two estimators by one value a run each, smaller is better.
+    """Compare two estimators by one value per run; smaller is better.
 
     Args:
         a: value of each run `(run,)`, e.g. its RMSE; not finite where it was lost.
         b: the same runs' values of the other estimator `(run,)`.
         level: confidence of the interval.
-        scale: size of the values, by which differences of rounding are known; default their
-            median size.
+        scale: size of the values, to recognize rounding errors; default their median size.
     """
     a, b = (np.where(np.isfinite(x), x, np.inf) for x in (a, b))
     both = np.isfinite(a) & np.isfinite(b)
@@ -64,7 +63,7 @@ def paired(a: Array, b: Array, level: float = 0.95, scale: float | None = None) 
         scale = float(np.median(np.abs(np.concatenate([a[both], b[both]])))) if both.any() else 0.0
     exact = a[both] - b[both]
     difference = np.where(np.abs(exact) <= ROUNDING * scale, 0.0, exact)
-    # A lost run's difference is infinite; for its rank it is enough that it is the largest.
+    # The difference of a lost run is infinite; its rank only has to be the largest.
     largest = 2 * float(np.abs(difference).max(initial=1.0))
     signed = np.zeros(len(a))
     signed[both] = difference
@@ -87,9 +86,11 @@ def paired(a: Array, b: Array, level: float = 0.95, scale: float | None = None) 
 
 
 def holm(p: Sequence[float]) -> Array:
-    """Holm's adjusted p-values `(k,)`: below α, the chance of any false alarm of all k is below α.
+    """Holm's adjusted p-values `(k,)`.
 
-    The i-th smallest is multiplied by k - i + 1 and made monotone (Holm 1979, Scand. J. Stat. 6).
+    If those below α count as significant, the probability of any false alarm among all k is at
+    most α. The i-th smallest is multiplied by k - i + 1, and the results are made monotone (Holm
+    1979, Scand. J. Stat. 6).
     """
     values = np.asarray(p, float)
     order = np.argsort(values, kind="stable")
@@ -101,14 +102,14 @@ def holm(p: Sequence[float]) -> Array:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two estimators' comparison, and its p-values adjusted for all the pairs there are.
+    """Comparison of two estimators, with p-values adjusted for all pairs.
 
     Attributes:
         a, b: keys.
-        paired: of the scores, a - b; these are logarithms.
-        ratio: exp of the difference: a's error over b's.
+        paired: comparison of the scores, which are logarithms.
+        ratio: exp of the difference: error of a over error of b.
         sign, wilcoxon: adjusted by Holm.
-        differ: whether they are told apart, and by more than the margin.
+        differ: whether the difference is significant, and larger than the margin.
     """
 
     a: str
@@ -122,13 +123,14 @@ class Pair:
 
 @dataclass(frozen=True)
 class Rank:
-    """An estimator's place.
+    """The rank of an estimator.
 
     Attributes:
         key: the estimator.
-        place: 1 + how many are better; all differences are significant after Holm.
-        last: how many there are less how many are worse: its rank is in [place, last], for all
-            estimators at once at the level asked for (Mogstad et al. 2024, Rev. Econ. Stud. 91).
+        place: 1 + the count of better ones; all differences are significant after Holm.
+        last: the count of all minus the count of worse ones. The ranks of all estimators are in
+            their [place, last] at once, at the given level (Mogstad et al. 2024, Rev. Econ.
+            Stud. 91).
         tied: whether another has the same place.
         ratio: its error over that of the first estimator of the table.
         lost: share of its runs that were lost.
@@ -143,14 +145,14 @@ class Rank:
 
 
 def score(mse: Array, lost: NDArray[np.bool_]) -> Array:
-    """One number a run for several coordinates: the mean over them of log RMSE `(run,)`.
+    """The mean over the coordinates of log RMSE, one number per run `(run,)`.
 
     The exponential of a difference is the geometric mean over the coordinates of the ratios of
-    RMSE: no unit, no weights, and no coordinate outweighs the others by being large.
+    RMSE. It has no unit and needs no weights; the size of a coordinate has no influence.
 
     Args:
         mse: mean squared error `(run, coordinate)`.
-        lost: whether the run was lost `(run,)`: infinite.
+        lost: whether the run diverged `(run,)`; its score is infinite.
     """
     with np.errstate(invalid="ignore"):
         return np.where(lost, np.inf, 0.5 * np.log(np.maximum(mse, TINY)).mean(axis=1))
@@ -159,16 +161,16 @@ def score(mse: Array, lost: NDArray[np.bool_]) -> Array:
 def compare(
     scores: Mapping[str, Array], level: float = 0.95, margin: float = 0.01
 ) -> tuple[list[Pair], list[Rank]]:
-    """All pairs, and the ranking that follows.
+    """All pairs, and the ranking.
 
-    Two estimators tie unless Wilcoxon's test tells them apart after Holm's correction over all
-    pairs, and the ratio of their errors is off 1, or the shares of lost runs apart, by more than
-    the margin in the same direction. Ties are not transitive: a may tie with b and b with c though
-    a is better than c; the range of ranks says so.
+    Two estimators tie unless Wilcoxon's test is significant after Holm's correction over all pairs,
+    and the ratio of their errors differs from 1, or their shares of lost runs differ, by more than
+    the margin in the same direction. Ties are not transitive: a may tie with b and b with c
+    although a is better than c. The range of ranks shows it.
 
     Args:
         scores: key -> `score` of the same runs, all in the same order.
-        level: confidence; 1 - level is the chance of any false difference.
+        level: confidence; 1 - level is the probability of any false difference.
         margin: a relative difference that is too small to matter, positive.
     """
     keys = list(scores)
@@ -182,7 +184,7 @@ def compare(
     for (a, b, p), sign, wilcoxon in zip(found, signs, wilcoxons):
         size = np.array([p.difference.value / np.log1p(margin), p.lost / margin])
         differ = bool(wilcoxon < 1 - level and (np.sign(p.effect) * size > 1).any())
-        pairs.append(Pair(a, b, p, exponential(p.difference), sign, wilcoxon, differ))
+        pairs.append(Pair(a, b, p, p.difference.exponential(), sign, wilcoxon, differ))
         if differ:
             ahead, behind = (a, b) if p.effect < 0 else (b, a)
             better[behind] += 1
@@ -199,7 +201,7 @@ def compare(
             place=1 + better[key],
             last=len(keys) - worse[key],
             tied=places.count(better[key]) > 1,
-            ratio=exponential(_difference(scores[key], scores[order[0]], level)),
+            ratio=_difference(scores[key], scores[order[0]], level).exponential(),
             lost=lost[key],
         )
         for key in order
@@ -208,22 +210,16 @@ def compare(
 
 
 def _difference(a: Array, b: Array, level: float) -> Interval:
-    """Mean of a - b over the runs that neither lost, with Student's t interval."""
+    """Mean of a - b over the runs lost by neither, with Student's t interval."""
     both = np.isfinite(a) & np.isfinite(b)
     return mean_interval(a[both] - b[both], level)
 
 
 def fewest_runs(estimators: int, level: float = 0.95) -> int:
-    """Runs below which `compare` cannot tell any two apart, however different they are.
+    """The least count of runs with which `compare` can find any two estimators different.
 
     The least p-value of a signed-rank or a sign test of N runs is 2^(1 - N), and Holm multiplies
     it by the count of pairs.
     """
     pairs = max(1, estimators * (estimators - 1) // 2)
     return int(np.floor(np.log2(2 * pairs / (1 - level)))) + 1
-
-
-def exponential(i: Interval) -> Interval:
-    """The interval of exp of a quantity."""
-    with np.errstate(over="ignore"):
-        return Interval(*(float(np.exp(x)) for x in (i.value, i.low, i.high)))

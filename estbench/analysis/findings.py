@@ -1,4 +1,4 @@
-"""What is said of one estimator of a store, beyond its summary."""
+"""Statistics of one estimator of a store beyond its summary, as `estbench compare` shows them."""
 
 from dataclasses import dataclass
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from estbench.analysis.load import Stored
 from estbench.consistency import coverage, credibility, intervals, whiteness
-from estbench.consistency.nees import Interval, positive_mean_interval
-from estbench.consistency.records import Record
-from estbench.consistency.summary import Summary
+from estbench.consistency.fields import Record
+from estbench.consistency.intervals import Interval, positive_mean_interval
+from estbench.consistency.statistics import Summary
 from estbench.shapes import Array
 
 TRIM = 0.1
@@ -17,16 +17,16 @@ TRIM = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """RMSE of the coordinates of one unit together: of the norm of their error.
+    """RMSE of the norm of the error in all coordinates of one unit.
 
     Attributes:
         unit: of the coordinates.
-        names: theirs.
+        names: of the coordinates.
         mean: root of the mean over the runs that did not diverge.
-        trimmed, median: the same over all runs, a diverged one being infinitely bad.
-        sigma: root of the mean variance that the filter reports.
-        coverage: shares within 1, 2, 3σ, or None where the store has none.
-        needed: runs for which the mean has the wanted relative half-width.
+        trimmed, median: over all runs; a diverged run counts as infinite.
+        sigma: root of the mean sum of the variances that the filter reports.
+        coverage: shares within 1, 2, 3σ, or None if the store has none.
+        needed: count of runs for the wanted relative half-width of the mean.
     """
 
     unit: str
@@ -47,13 +47,13 @@ class Findings:
         key: its name in the comparison, unique.
         label: its name in the store.
         stored: the store.
-        summary: verdict, ANEES, RMSE of each coordinate.
-        accuracy: one a unit.
-        coverage: one a coordinate, or None where the store has none.
+        summary: verdict and statistics.
+        accuracy: one per unit.
+        coverage: one per coordinate, or None if the store has none.
         anees_trimmed, anees_median: NEES/n over all runs.
-        anees_needed: runs for which ANEES/n has the wanted half-width.
+        anees_needed: count of runs for the wanted half-width of ANEES/n.
         whiteness: of the innovations, or None.
-        nci, inclination, nci_expected: mean over the settled steps, dB; None without traces.
+        nci, inclination, nci_expected: means over the settled steps, dB; None without traces.
     """
 
     key: str
@@ -77,11 +77,11 @@ class Findings:
 
 
 def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
-    """Everything that a store can say of an estimator.
+    """All findings about one estimator of a store.
 
     Args:
         stored: the store.
-        label: the estimator's.
+        label: of the estimator.
         key: its name in the comparison.
         precision: wanted relative half-width of RMSE, and half-width of ANEES/n.
     """
@@ -117,12 +117,12 @@ def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
 def accuracies(
     record: Record, names: tuple[str, ...], units: tuple[str, ...], level: float, precision: float
 ) -> tuple[Accuracy, ...]:
-    """The accuracy of an estimator's record, one entry a unit.
+    """The accuracy of an estimator, one entry per unit.
 
     Args:
         record: as `records.merge` gives it.
         names: of the coordinates `(n,)`.
-        units: theirs.
+        units: of the coordinates `(n,)`.
         level: confidence.
         precision: wanted relative half-width of RMSE.
     """
@@ -139,9 +139,9 @@ def accuracies(
             Accuracy(
                 unit=unit,
                 names=tuple(names[i] for i in members),
-                mean=root(mean),
-                trimmed=root(intervals.trimmed_mean(every, TRIM, level)),
-                median=root(intervals.median(every, level)),
+                mean=mean.root(),
+                trimmed=intervals.trimmed_mean(every, TRIM, level).root(),
+                median=intervals.median(every, level).root(),
                 sigma=float(np.sqrt(variance.mean())) if good.any() else np.nan,
                 coverage=None
                 if inside is None
@@ -154,13 +154,8 @@ def accuracies(
 
 
 def inside_shares(record: Record) -> Array | None:
-    """Shares within 1, 2, 3σ `(run, coordinate, 3)`, or None where the record has none."""
+    """Shares within 1, 2, 3σ `(run, coordinate, 3)`, or None if the record has none."""
     names = [f"inside_{k}" for k in coverage.SIGMAS]
     if not all(name in record for name in names):
         return None
     return np.stack([record[name] for name in names], axis=-1)
-
-
-def root(i: Interval) -> Interval:
-    """The interval of the square root of a quantity that is not negative."""
-    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in (i.value, i.low, i.high)))

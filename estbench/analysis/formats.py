@@ -2,15 +2,16 @@
 
 import json
 
-from estbench.analysis import numbers, shown, tables
+from estbench.analysis import numbers, shown
 from estbench.analysis.compare import Comparison
 from estbench.errors import AnalysisError, did_you_mean
+from estbench.tables import writers
 
 FORMATS = ("text", "markdown", "csv", "latex", "json")
 
 
 def check(format_: str) -> None:
-    """Refuse an unknown format before anything is read.
+    """Check the format before any store is read.
 
     Raises:
         AnalysisError: there is no such format.
@@ -28,5 +29,5 @@ def render(comparison: Comparison, format_: str, width: int = 100) -> str:
         return numbers.to_csv(comparison)
     built = shown.build(comparison)
     if format_ == "text":
-        return tables.text(built, width)
-    return tables.markdown(built) if format_ == "markdown" else tables.latex(built)
+        return writers.text(built, width)
+    return writers.markdown(built) if format_ == "markdown" else writers.latex(built)

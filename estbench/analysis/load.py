@@ -1,4 +1,4 @@
-"""From a results folder to records: the finished runs of a store, whole or not."""
+"""The finished runs of a results folder as records; the store may be unfinished."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -10,8 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from estbench.consistency.records import SUMMARY, Record
-from estbench.consistency.summary import Summary, summarize
+from estbench.consistency.fields import Record
+from estbench.consistency.records import SUMMARY
+from estbench.consistency.statistics import Summary
+from estbench.consistency.summary import summarize
 from estbench.errors import StoreError
 from estbench.scenario import load as scenarios
 from estbench.scenario.schema import Scenario
@@ -19,24 +21,24 @@ from estbench.shapes import Array
 from estbench.store.zarr import COSTS, SCENARIO, STORE, open_results
 
 REQUIRED = {"anees", "anis", "mse", "variance", "fault", "fault_step", "diverged"}
-"""Arrays without which there is nothing to say."""
+"""Variables that every store has; those of older versions may lack the others."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """What a store says of the runs that are done; the others do not exist.
+    """The finished runs of a store.
 
     Attributes:
-        folder: where it lies.
-        title: what it is called beside others; the folder's name unless given.
+        folder: of the results.
+        title: its name beside other stores; the folder's name unless given.
         scenario: as it was run.
-        attrs: provenance: seed, versions, time.
+        attrs: provenance: seed and versions.
         names, units: of the tangent coordinates `(n,)`.
         times: instants `(K + 1,)`, s.
         runs: numbers of the finished runs.
-        total: how many were asked for.
+        total: count of runs requested.
         records: label -> per-run and per-step arrays, as `records.merge` gives them.
-        summaries: label -> what is said of them.
+        summaries: label -> summary.
         tree: the store, lazily read.
         batches: positions of the runs of each finished batch.
     """
@@ -67,7 +69,7 @@ class Stored:
 
     @property
     def has_traces(self) -> bool:
-        """Whether errors and estimates of every run were kept."""
+        """Whether errors and estimates of each run are stored."""
         return all("error" in self.tree[label] for label in self.records)
 
     def group(self, label: str) -> xr.Dataset:
@@ -82,7 +84,7 @@ class Stored:
         return (self.times > self.scenario.consistency.burn_in) & (self.times > 0)
 
     def traces(self, label: str) -> Iterator[tuple[Array, Array]] | None:
-        """Errors `(run, step, n)` and NEES `(run, step)` batch by batch, or None if not kept.
+        """Errors `(run, step, n)` and NEES `(run, step)` batch by batch, or None if not stored.
 
         Over the settled instants of the runs that did not diverge.
         """
@@ -105,8 +107,8 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
     """Read the finished runs of a results folder; safe while it is still being written.
 
     Args:
-        folder: as `estbench run` wrote it.
-        title: what to call it; default the folder's name.
+        folder: written by `estbench run`.
+        title: its name beside other stores; default the folder's name.
 
     Raises:
         StoreError: it is no results folder, has no finished run, or a chunk is corrupted.
@@ -151,7 +153,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
 
 
 def load_all(folders: Sequence[str | Path]) -> list[Stored]:
-    """Read results folders of one robot; their titles tell them apart.
+    """Read results folders of one robot, with distinct titles.
 
     Raises:
         StoreError: a folder cannot be read or is named twice, or their states differ.
@@ -169,7 +171,7 @@ def load_all(folders: Sequence[str | Path]) -> list[Stored]:
 
 
 def _titles(folders: Sequence[Path]) -> list[str]:
-    """The folders' names, with as many parents as it takes to tell them apart."""
+    """The folders' names, with as many parents as are needed to distinguish them."""
     parts = [folder.resolve().parts for folder in folders]
     if len(set(parts)) < len(parts):
         raise StoreError("a results folder is named twice; name each once")

@@ -1,4 +1,4 @@
-"""The numbers of a comparison in full: nested for JSON, one a row for CSV."""
+"""All numbers of a comparison: nested for JSON, one per row for CSV."""
 
 import csv
 import io
@@ -11,12 +11,15 @@ import numpy as np
 from estbench.analysis.compare import Comparison, Contest
 from estbench.analysis.comparison import Paired
 from estbench.analysis.findings import Findings
-from estbench.consistency.coverage import SIGMAS
-from estbench.consistency.nees import Interval
+from estbench.consistency import statistics
+from estbench.consistency.coverage import SIGMAS, Coverage
+from estbench.consistency.declaration import Statistic
+from estbench.consistency.statistics import ANEES, ANEES_MEDIAN, RMSE
+from estbench.tables.cells import per_coordinate, plain, value_of
 
 
 def to_dict(comparison: Comparison) -> dict[str, Any]:
-    """Plain numbers; one that is not finite becomes None."""
+    """Plain numbers for JSON; None where a number is not finite."""
     return {
         "level": comparison.level,
         "margin": comparison.margin,
@@ -35,23 +38,23 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
                 "estimators": {f.key: _estimator(f) for f in c.findings},
                 "ranking": [
                     {"estimator": r.key, "rank": r.place, "last_rank": r.last, "tied": r.tied,
-                     "rmse_ratio_to_first": _plain(r.ratio), "lost_share": r.lost}
+                     "rmse_ratio_to_first": plain(r.ratio), "lost_share": r.lost}
                     for r in c.ranks
                 ],
                 "pairs": [
                     {
                         "a": p.a,
                         "b": p.b,
-                        "rmse_ratio": _plain(p.ratio),
+                        "rmse_ratio": plain(p.ratio),
                         **_tests(p.paired),
                         "sign_p_holm": p.sign,
                         "wilcoxon_p_holm": p.wilcoxon,
                         "differ": p.differ,
                         "rmse_difference": {
-                            name: {"unit": unit, **_plain(d.difference), **_tests(d)}
+                            name: {"unit": unit, **plain(d.difference), **_tests(d)}
                             for name, unit, d in zip(c.stores[0].names, c.stores[0].units, rmse)
                         },
-                        "nees_over_n_difference": {**_plain(nees.difference), **_tests(nees)},
+                        "nees_over_n_difference": {**plain(nees.difference), **_tests(nees)},
                     }
                     for p, (rmse, nees) in zip(c.pairs, c.details())
                 ],
@@ -62,51 +65,46 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
 
 
 def _estimator(f: Findings) -> dict[str, Any]:
-    s = f.summary
-    coverage = f.coverage or (None,) * len(s.rmse)
-    white = f.whiteness
+    s, white = f.summary, f.whiteness
+    # The median of NEES/n, with its interval, is in the object of the mean.
+    runs = {x.json_key: plain(value_of(s, x)) for x in _of_runs()}
+    runs[ANEES.json_key] |= {"trimmed": plain(f.anees_trimmed), "median": plain(f.anees_median)}
+    names, units = f.stored.names, f.stored.units
+    coordinates = per_coordinate(s, statistics.of("coordinate"), names, units)
+    for name, found in zip(names, f.coverage or (None,) * len(names)):
+        shares = None if found is None else [plain(x) for x in found.shares]
+        coordinates[RMSE.json_key][name]["coverage"] = shares
     return {
         "folder": str(f.stored.folder),
         "label": f.label,
         "runs": s.runs,
         "verdict": str(s.verdict),
-        "anees_over_n": {
-            **_plain(s.anees),
-            "trimmed": _plain(f.anees_trimmed),
-            "median": _plain(f.anees_median),
-        },
-        "anis_over_m": _plain(s.anis),
-        "innovation_lag_one": _plain(s.lag_one),
-        "diverged_share": _plain(s.diverged_interval),
-        "cost_us_per_run_step": _number(s.cost),
-        "rmse": {
-            name: {
-                "unit": unit, **_plain(i), "median": _number(m), "sigma": _number(d),
-                "coverage": None if c is None else [_plain(x) for x in c.shares],
-            }
-            for name, unit, i, m, d, c in zip(
-                f.stored.names, f.stored.units, s.rmse, s.rmse_median, s.std, coverage
-            )
-        },
+        **runs,
+        **coordinates,
         "rmse_by_unit": {
             a.unit: {
-                "coordinates": list(a.names), **_plain(a.mean), "trimmed": _plain(a.trimmed),
-                "median": _plain(a.median), "sigma": _number(a.sigma), "runs_needed": a.needed,
-                "coverage": None if a.coverage is None else [_plain(x) for x in a.coverage.shares],
+                "coordinates": list(a.names), **plain(a.mean), "trimmed": plain(a.trimmed),
+                "median": plain(a.median), "sigma": plain(a.sigma), "runs_needed": a.needed,
+                "coverage": None if a.coverage is None else [plain(x) for x in a.coverage.shares],
             }
             for a in f.accuracy
         },
         "runs_needed_anees": f.anees_needed,
         "whiteness": None if white is None else {
-            "correlation": [_plain(i) for i in white.correlation],
-            "rejected_share": _plain(white.rejected),
-            "pooled_p": _number(white.p),
+            "correlation": [plain(i) for i in white.correlation],
+            "rejected_share": plain(white.rejected),
+            "pooled_p": plain(white.p),
         },
         "nci_db": None if f.nci is None else {
-            "value": _number(f.nci), "expected": _number(f.nci_expected or np.nan),
-            "inclination": _number(f.inclination or 0.0),
+            "value": plain(f.nci), "expected": plain(f.nci_expected or np.nan),
+            "inclination": plain(f.inclination or 0.0),
         },
     }  # fmt: skip
+
+
+def _of_runs() -> list[Statistic]:
+    """The statistics with one value per estimator, without the median of NEES/n."""
+    return [s for s in statistics.of("run") if s is not ANEES_MEDIAN]
 
 
 def _tests(p: Paired) -> dict[str, Any]:
@@ -116,14 +114,6 @@ def _tests(p: Paired) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _plain(i: Interval) -> dict[str, float | None]:
-    return {"value": _number(i.value), "low": _number(i.low), "high": _number(i.high)}
-
-
-def _number(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
 COLUMNS: tuple[str, ...] = (
     "scenario", "seed", "estimator", "against", "quantity", "coordinate", "unit",
     "value", "low", "high", "p_sign", "p_wilcoxon",
@@ -131,7 +121,7 @@ COLUMNS: tuple[str, ...] = (
 
 
 def to_csv(comparison: Comparison) -> str:
-    """One number a row, with its interval; an empty cell where there is none."""
+    """One number per row, with its interval; an empty cell where there is none."""
     file = io.StringIO()
     writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -146,43 +136,56 @@ def to_csv(comparison: Comparison) -> str:
 
 def _estimator_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     for f in contest.findings:
-        found = _estimator(f)
-
-        row = partial(_row, f.key)
-        yield row("verdict", found["verdict"])
-        for name in ("runs", "anees_over_n", "anis_over_m", "innovation_lag_one", "diverged_share"):
-            yield row(name, found[name])
-        yield row("cost", found["cost_us_per_run_step"], unit="us/run-step")
-        for table, kind in (("rmse", "rmse"), ("rmse_by_unit", "rmse_norm")):
-            for name, r in found[table].items():
-                unit = r.get("unit", name)
-                where = name if table == "rmse" else " ".join(r["coordinates"])
-                yield row(kind, r, where, unit)
-                yield row(f"{kind}_median", r["median"], where, unit)
-                if "trimmed" in r:
-                    yield row(f"{kind}_trimmed", r["trimmed"], where, unit)
-                yield row(f"{kind}_sigma", r["sigma"], where, unit)
-                for k, share in zip(SIGMAS, r["coverage"] or ()):
-                    yield row(f"{kind}_coverage_{k}_sigma", share, where)
-        if (white := found["whiteness"]) is not None:
-            yield row("not_white_share", white["rejected_share"])
-            yield row("not_white_pooled_p", white["pooled_p"])
-        if (nci := found["nci_db"]) is not None:
-            yield row("nci", nci["value"], unit="dB")
-            yield row("nci_expected", nci["expected"], unit="dB")
-            yield row("inclination", nci["inclination"], unit="dB")
+        s, row = f.summary, partial(_row, f.key)
+        yield row("verdict", str(s.verdict))
+        yield row("runs", s.runs)
+        for x in _of_runs():
+            yield row(x.key, plain(value_of(s, x)), unit="" if x.unit == "1" else x.unit)
+        yield from _coordinate_rows(f)
+        for a in f.accuracy:
+            where = " ".join(a.names)
+            for end, value in (
+                ("", a.mean), ("_median", a.median), ("_trimmed", a.trimmed), ("_sigma", a.sigma),
+            ):  # fmt: skip
+                yield row(f"rmse_norm{end}", plain(value), where, a.unit)
+            yield from _coverage_rows(f.key, "rmse_norm", where, a.coverage)
+        if f.whiteness is not None:
+            yield row("not_white_share", plain(f.whiteness.rejected))
+            yield row("not_white_pooled_p", plain(f.whiteness.p))
+        if f.nci is not None:
+            yield row("nci", plain(f.nci), unit="dB")
+            yield row("nci_expected", plain(f.nci_expected or np.nan), unit="dB")
+            yield row("inclination", plain(f.inclination or 0.0), unit="dB")
     for r in contest.ranks:
         yield {"estimator": r.key, "quantity": "rank", "value": r.place, "low": r.place,
                "high": r.last}  # fmt: skip
 
 
+def _coordinate_rows(f: Findings) -> Iterator[dict[str, Any]]:
+    """The statistics of each coordinate, then its coverage."""
+    names, units = f.stored.names, f.stored.units
+    for i, (name, unit) in enumerate(zip(names, units)):
+        for s in statistics.of("coordinate"):
+            value = plain(value_of(f.summary, s)[i])
+            yield _row(f.key, s.key.replace(".", "_"), value, name, s.unit.replace("[c]", unit))
+        found = f.coverage[i] if f.coverage is not None else None
+        yield from _coverage_rows(f.key, RMSE.key, name, found)
+
+
+def _coverage_rows(
+    estimator: str, kind: str, where: str, found: Coverage | None
+) -> Iterator[dict[str, Any]]:
+    for k, share in zip(SIGMAS, found.shares if found is not None else ()):
+        yield _row(estimator, f"{kind}_coverage_{k}_sigma", plain(share), where)
+
+
 def _row(
     estimator: str, quantity: str, value: Any, coordinate: str = "", unit: str = ""
 ) -> dict[str, Any]:
-    plain = value if isinstance(value, dict) else {"value": value}
+    found = value if isinstance(value, dict) else {"value": value}
     return {
         "estimator": estimator, "quantity": quantity, "coordinate": coordinate, "unit": unit,
-        **{k: plain.get(k) for k in ("value", "low", "high")},
+        **{k: found.get(k) for k in ("value", "low", "high")},
     }  # fmt: skip
 
 
@@ -191,8 +194,8 @@ def _pair_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     for p, (rmse, nees) in zip(contest.pairs, contest.details()):
         pair = {"estimator": p.a, "against": p.b}
         tests = {"p_sign": p.sign, "p_wilcoxon": p.wilcoxon}
-        yield {**pair, "quantity": "rmse_ratio", **_plain(p.ratio), **tests}
+        yield {**pair, "quantity": "rmse_ratio", **plain(p.ratio), **tests}
         differences = [("rmse_difference", n, u, d) for n, u, d in zip(names, units, rmse)]
         for quantity, name, unit, d in (*differences, ("nees_over_n_difference", "", "", nees)):
             yield {**pair, "quantity": quantity, "coordinate": name, "unit": unit,
-                   **_plain(d.difference), "p_sign": d.sign, "p_wilcoxon": d.wilcoxon}  # fmt: skip
+                   **plain(d.difference), "p_sign": d.sign, "p_wilcoxon": d.wilcoxon}  # fmt: skip

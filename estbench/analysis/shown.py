@@ -1,23 +1,25 @@
-"""The tables of a comparison, as they are read by people."""
+"""The tables of a comparison for text, Markdown and LaTeX."""
 
 import numpy as np
 
 from estbench.analysis.compare import Comparison, Contest
 from estbench.analysis.comparison import fewest_runs
 from estbench.analysis.findings import TRIM
-from estbench.analysis.tables import Table, bounds, number, percent, probability
+from estbench.consistency import statistics
 from estbench.consistency.coverage import EXPECTED, SIGMAS
-from estbench.consistency.nees import Interval
-from estbench.tables.quantity import quantity
+from estbench.consistency.statistics import RMSE, SIGMA
+from estbench.tables.cells import cell, share, value_of
+from estbench.tables.columns import Table, tabulate
+from estbench.tables.quantity import bounds, number, percent, probability, quantity
 
 
 def build(comparison: Comparison) -> list[Table]:
     """The tables of all contests."""
     out = []
     for contest in comparison.contests:
-        out.append(Table(_title(contest), (), ()))
+        out.append(Table((), (), _title(contest)))
         out += [_verdicts(contest, comparison), _ranking(contest, comparison)]
-        out += [_pairs(contest, comparison), _accuracy(contest)]
+        out += [_pairs(contest, comparison), _accuracy(contest), *_by_coordinate(contest)]
         out += [t for t in (_coverage(contest), _innovations(contest)) if t.rows]
         out.append(_needed(contest, comparison.precision))
     return out
@@ -33,24 +35,42 @@ def _title(contest: Contest) -> str:
 
 
 def _verdicts(contest: Contest, comparison: Comparison) -> Table:
-    return Table(
+    found = statistics.shown("compare")
+    return tabulate(
         "Consistency",
-        ("<estimator", "<verdict", "NEES/n", "median", "NIS/m", "diverged", "µs/run-step"),
-        tuple(
+        ("<estimator", "<verdict", *(s.heading_in("compare") for s in found)),
+        [
             (
-                f.key, str(f.summary.verdict), quantity(f.summary.anees),
-                number(f.summary.anees_median, 3), quantity(f.summary.anis),
-                percent(f.summary.diverged_interval), number(f.summary.cost),
+                f.key, str(f.summary.verdict),
+                *(cell(s, value_of(f.summary, s), s.places["compare"]) for s in found),
             )
             for f in contest.findings
-        ),
+        ],
         f"± and brackets are {comparison.level:.0%} intervals across runs; of the diverged share "
         "Wilson's.",
     )  # fmt: skip
 
 
+def _by_coordinate(contest: Contest) -> list[Table]:
+    """A table for each statistic per coordinate that `compare` shows: a column per estimator."""
+    first = contest.findings[0]
+    return [
+        tabulate(
+            s.heading_in("compare"),
+            ("<coordinate", "<unit", *(f.key for f in contest.findings)),
+            [
+                (name, unit, *(cell(s, value_of(f.summary, s)[i], s.places["compare"])
+                               for f in contest.findings))
+                for i, (name, unit) in enumerate(zip(first.stored.names, first.stored.units))
+            ],
+            s.note,
+        )
+        for s in statistics.shown("compare", "coordinate")
+    ]  # fmt: skip
+
+
 def few_runs(runs: int, estimators: int, level: float) -> str:
-    """A warning where there are too few runs to tell anything apart, else nothing."""
+    """A warning if the runs are too few for any significant difference, else an empty text."""
     needed = fewest_runs(estimators, level)
     if runs >= needed or estimators < 2:
         return ""
@@ -61,14 +81,14 @@ def few_runs(runs: int, estimators: int, level: float) -> str:
 
 
 def _ranking(contest: Contest, comparison: Comparison) -> Table:
-    return Table(
+    return tabulate(
         "Ranking by RMSE",
         ("rank", "<estimator", "RMSE / first", "in ranks", "lost"),
         tuple(
             (
                 f"{r.place}{'=' if r.tied else ''}", r.key,
                 "1" if i == 0 else bounds(r.ratio),
-                f"{r.place}–{r.last}" if r.last > r.place else f"{r.place}", f"{r.lost:.1%}",
+                f"{r.place}–{r.last}" if r.last > r.place else f"{r.place}", share(r.lost),
             )
             for i, r in enumerate(contest.ranks)
         ),
@@ -80,27 +100,26 @@ def _ranking(contest: Contest, comparison: Comparison) -> Table:
 
 
 def _pairs(contest: Contest, comparison: Comparison) -> Table:
-    rows = []
-    for pair, nees in zip(contest.pairs, contest.nees):
-        p = pair.paired
-        rows.append(
-            (
-                pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
-                probability(pair.sign), probability(pair.wilcoxon), quantity(nees),
-            )
-        )  # fmt: skip
-    return Table(
+    rows = [
+        (
+            pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
+            probability(pair.sign), probability(pair.wilcoxon), quantity(nees),
+        )
+        for pair, nees in zip(contest.pairs, contest.nees)
+        for p in [pair.paired]
+    ]  # fmt: skip
+    return tabulate(
         "Pairs on common random numbers",
         ("<a", "<b", "RMSE a/b", "a less/more/tie", "sign p", "Wilcoxon p", "NEES/n a-b"),
-        tuple(rows),
+        rows,
         "p-values are Holm's, over these pairs; runs that one lost count as worse.",
     )
 
 
 def _accuracy(contest: Contest) -> Table:
-    return Table(
-        "RMSE",
-        ("<estimator", "unit", "mean", "trimmed mean", "median", "σ"),
+    return tabulate(
+        RMSE.heading,
+        ("<estimator", "unit", "mean", "trimmed mean", "median", SIGMA.heading),
         tuple(
             (
                 f.key if i == 0 else "", a.unit, quantity(a.mean), quantity(a.trimmed),
@@ -109,23 +128,23 @@ def _accuracy(contest: Contest) -> Table:
             for f in contest.findings
             for i, a in enumerate(f.accuracy)
         ),
-        f"Of the norm of all coordinates of a unit. The mean is over runs that did not diverge; "
+        "Of the norm of all coordinates of a unit. The mean is over runs that did not diverge; "
         f"the mean without {TRIM:.0%} at each end and the median are over all runs.",
     )  # fmt: skip
 
 
 def _coverage(contest: Contest) -> Table:
-    return Table(
+    return tabulate(
         "Coverage: errors within 1σ, 2σ, 3σ, %",
         ("<estimator", "unit", *(f"{k}σ ({100 * e:.2f})" for k, e in zip(SIGMAS, EXPECTED))),
         tuple(
             (
-                f.key if i == 0 else "",
+                f.key if k == 0 else "",
                 a.unit,
-                *(quantity(_scaled(share, 100)) for share in a.coverage.shares),
+                *(quantity(i.scaled(100)) for i in a.coverage.shares),
             )
             for f in contest.findings
-            for i, a in enumerate(f.accuracy)
+            for k, a in enumerate(f.accuracy)
             if a.coverage is not None
         ),
         "Expected of normal errors in brackets.",
@@ -133,7 +152,7 @@ def _coverage(contest: Contest) -> Table:
 
 
 def _innovations(contest: Contest) -> Table:
-    rows = []
+    rows, found = [], statistics.shown("innovations")
     for f in contest.findings:
         if f.whiteness is None and f.nci is None:
             continue
@@ -144,20 +163,24 @@ def _innovations(contest: Contest) -> Table:
         if f.nci is not None and f.inclination is not None and np.isfinite(f.nci):
             best = number(f.nci_expected or np.nan, 3)
             nci = (f"{f.nci:.3f} ({best})", f"{f.inclination:+.3f}")
-        rows.append((f.key, quantity(f.summary.lag_one), *white, *nci))
+        ours = (cell(s, value_of(f.summary, s), s.places["innovations"]) for s in found)
+        rows.append((f.key, *ours, *white, *nci))
     level = contest.stores[0].scenario.consistency.level
-    return Table(
+    return tabulate(
         "Innovations and credibility",
-        ("<estimator", "lag-one", "runs not white", "pooled p", "NCI, dB", "inclination, dB"),
-        tuple(rows),
+        (
+            "<estimator", *(s.heading_in("innovations") for s in found),
+            "runs not white", "pooled p", "NCI, dB", "inclination, dB",
+        ),
+        rows,
         f"Ljung-Box: {1 - level:.0%} of the runs are expected. NCI: 0 is credible, in brackets "
         "what this many runs give at best; inclination: above 0 optimistic.",
-    )
+    )  # fmt: skip
 
 
 def _needed(contest: Contest, precision: float) -> Table:
     units = tuple(a.unit for a in contest.findings[0].accuracy)
-    return Table(
+    return tabulate(
         f"Runs needed for NEES/n ± {precision:g}, RMSE ± {precision:.2g} of it",
         ("<estimator", "NEES/n", *(f"RMSE, {unit}" for unit in units)),
         tuple(
@@ -169,7 +192,3 @@ def _needed(contest: Contest, precision: float) -> Table:
 
 def _count(x: int | None) -> str:
     return "–" if x is None else str(x)
-
-
-def _scaled(i: Interval, factor: float) -> Interval:
-    return Interval(factor * i.value, factor * i.low, factor * i.high)

@@ -1,1 +1,1 @@
-"""Can the covariance be trusted: NEES, NIS, coverage, whiteness, and the verdict."""
+"""Statistics of an estimator's consistency: NEES, NIS, coverage, whiteness, the verdict."""

@@ -1,26 +1,26 @@
-"""How often the error lies within 1, 2, 3 of the filter's own standard deviations."""
+"""Share of the errors within 1, 2 and 3 standard deviations that the filter reports."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.shapes import Array
 
 SIGMAS = (1, 2, 3)
 EXPECTED = tuple(float(special.erf(k / np.sqrt(2))) for k in SIGMAS)
-"""Shares of a normal error: 0.683, 0.954, 0.997."""
+"""Shares of normal errors: 0.683, 0.954, 0.997."""
 
 
 def inside(error: Array, std: Array) -> Array:
     """Share of the steps at which |error| <= kσ, k = 1, 2, 3: `(run, coordinate, 3)`.
 
-    A step whose error or σ is not finite is outside.
+    A step whose error or σ is not finite counts as outside.
 
     Args:
         error: x ⊖ x̂ `(step, run, coordinate)`.
-        std: the filter's σ, the same shape.
+        std: σ that the filter reports, the same shape.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.abs(error) / std
@@ -29,17 +29,17 @@ def inside(error: Array, std: Array) -> Array:
 
 @dataclass(frozen=True)
 class Coverage:
-    """One coordinate, or a group of them.
+    """Coverage of one coordinate, or of the coordinates of one unit together.
 
     Attributes:
-        shares: within 1, 2, 3σ, with intervals across runs.
+        shares: within 1, 2 and 3σ, with intervals across runs.
     """
 
     shares: tuple[Interval, ...]
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
-        """Whether each interval holds the share of a normal error."""
+        """Whether each interval contains the share of normal errors."""
         return tuple(e in i for e, i in zip(EXPECTED, self.shares))
 
 
@@ -49,7 +49,8 @@ def coverage(shares: Array, level: float = 0.95) -> Coverage:
     Steps of one run are correlated, so the spread is taken across runs.
 
     Args:
-        shares: `(run, 3)` of one coordinate, or `(run, coordinate, 3)` of a group: their mean.
+        shares: `(run, 3)` of one coordinate, or `(run, coordinate, 3)` of several, which are
+            averaged.
         level: confidence.
     """
     each = shares.mean(axis=1) if shares.ndim == 3 else shares

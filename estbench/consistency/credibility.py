@@ -1,8 +1,8 @@
-"""Noncredibility index and inclination indicator: how far, and to which side, P is off.
+"""Noncredibility index and inclination indicator: by how much P is too small or too large.
 
-X. R. Li & Z. Zhao, "Measuring estimator's credibility: noncredibility index", FUSION 2006. Unlike
-ANEES the index weighs optimism and pessimism alike: it compares, run by run, NEES with what NEES
-would be if the covariance were the errors' true mean square matrix.
+X. R. Li & Z. Zhao, "Measuring estimator's credibility: noncredibility index", FUSION 2006. The
+index compares the NEES of each run with the NEES under the errors' true mean square matrix. Unlike
+ANEES it gives optimism and pessimism the same weight.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,14 +16,14 @@ from estbench.spaces.linalg import cholesky, solve_lower
 
 @dataclass(frozen=True, eq=False)
 class Credibility:
-    """In decibels; 0 is credible.
+    """Noncredibility index and inclination, dB; 0 is credible.
 
     Attributes:
         nci: γ = 10/M Σᵢ |log₁₀ ρᵢ| at each step `(step,)`.
         inclination: ν = 10/M Σᵢ log₁₀ ρᵢ `(step,)`: above 0 optimistic (P too small), below 0
             pessimistic.
-        expected: γ of a credible estimator with as many runs: the mean square matrix is itself
-            estimated from them, so γ is never 0.
+        expected: γ of a credible estimator with as many runs. It is above 0, as the mean square
+            matrix is estimated from these runs.
     """
 
     nci: Array
@@ -42,8 +42,8 @@ def log_ratios(error: Array, nees: Array, square: Array) -> Array:
     Args:
         error: x ⊖ x̂ `(run, step, n)`.
         nees: eᵀP⁻¹e `(run, step)`.
-        square: Σ `(step, n, n)`, as `mean_square` of all runs gives it. Where it is singular (fewer
-            runs than coordinates) the ratio is NaN.
+        square: Σ `(step, n, n)`, `mean_square` of all runs. Where it is singular (fewer runs than
+            coordinates) the ratio is NaN.
     """
     white = solve_lower(cholesky(square), np.moveaxis(error, 0, -1))  # (step, n, run)
     ideal = np.einsum("kir,kir->rk", white, white)
@@ -52,12 +52,14 @@ def log_ratios(error: Array, nees: Array, square: Array) -> Array:
 
 
 def credibility(batches: Callable[[], Iterable[tuple[Array, Array]]]) -> Credibility:
-    """NCI and inclination at each step, of runs that need not all be in memory at once.
+    """NCI and inclination at each step, with one batch of runs in memory at a time.
 
     Args:
-        batches: gives, each time it is called, x ⊖ x̂ `(run, step, n)` and NEES `(run, step)` of the
-            runs that were not lost, batch by batch. It is called twice: Σ takes all runs. No more
-            runs than coordinates give NaN.
+        batches: each call gives x ⊖ x̂ `(run, step, n)` and NEES `(run, step)` of the runs that
+            did not diverge, batch by batch. It is called twice, first for Σ.
+
+    Returns:
+        NaN where there are no more runs than coordinates.
     """
     runs, square, n = 0, np.zeros(()), 0
     for error, _ in batches():
@@ -76,12 +78,12 @@ def credibility(batches: Callable[[], Iterable[tuple[Array, Array]]]) -> Credibi
 
 
 def expected(n: int, runs: int, repetitions: int = 200, seed: int = 0) -> float:
-    """NCI of an estimator whose P is right, dB, by Monte Carlo; NaN for `runs` <= n.
+    """NCI of an estimator whose P is correct, dB, by Monte Carlo; NaN for `runs` <= n.
 
     Args:
         n: dimension of the error.
-        runs: over which Σ is estimated; many are taken as 10,000.
-        repetitions: of the simulation; fewer where there are many runs.
+        runs: from which Σ is estimated; more than 10,000 are taken as 10,000.
+        repetitions: of the simulation; reduced where runs are many.
         seed: of the simulation.
     """
     if runs <= n:

@@ -1,7 +1,7 @@
-"""Are the innovations white? Ljung-Box on whitened innovations of any dimension.
+"""Ljung-Box test of the whiteness of innovations of any dimension.
 
-With S = L Lᵀ the innovations ν̃ = L⁻¹ν of a consistent filter are independent N(0, I). A filter that
-leaves information in them, as one with too small a Q does, has them correlated over time.
+With S = L Lᵀ the whitened innovations ν̃ = L⁻¹ν of a consistent filter are independent N(0, I).
+Those of a filter that does not use all information, as with too small a Q, are correlated in time.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.consistency.intervals import wilson
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval, wilson
 from estbench.inference.lags import correlation
 from estbench.shapes import Array
 
@@ -26,12 +25,12 @@ def portmanteau(products: Array, terms: NDArray[Any]) -> Array:
     Biometrika 65; there m = 1, Nₗ = N - l and ρₗ is divided by N). In m dimensions Sₗ is the trace
     of the lagged m x m product, a sum of Nₗ ≈ m (K - l) uncorrelated terms, so that each lag has
     **one** degree of freedom; all m² elements would have m² of them (Hosking 1980, JASA 75), and
-    need m² numbers a lag. Nothing is taken off: no coefficient is fitted to the innovations, and
-    their mean is 0 by hypothesis.
+    need m² numbers per lag. No degree of freedom is subtracted: no coefficient is fitted to the
+    innovations, and their mean is 0 by hypothesis.
 
     Args:
         products: Sₗ `(..., h + 1)`, lag 0 first.
-        terms: Nₗ, the same shape; a lag without terms does not count.
+        terms: Nₗ, the same shape; a lag without terms is left out.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         rho = np.where(terms > 0, correlation(products, terms), 0.0)
@@ -41,13 +40,14 @@ def portmanteau(products: Array, terms: NDArray[Any]) -> Array:
 
 @dataclass(frozen=True)
 class Whiteness:
-    """What the autocorrelation of the innovations says.
+    """Autocorrelation of the whitened innovations, and Ljung and Box's test of it.
 
     Attributes:
         correlation: of each lag from 1, with Student's t interval across runs.
-        rejected: share of the runs whose own innovations are not white at the level; 1 - level of
-            them are expected, so the interval of a white filter holds it.
-        p: of the pooled test over all runs; with many runs it finds deviations too small to matter.
+        rejected: share of the runs whose innovations are not white at the level; for a white
+            filter 1 - level is expected and the interval contains it.
+        p: p-value of the test of all runs together; with many runs it detects deviations that are
+            too small to matter.
     """
 
     correlation: tuple[Interval, ...]
@@ -56,11 +56,11 @@ class Whiteness:
 
 
 def whiteness(products: Array, terms: NDArray[Any], level: float = 0.95) -> Whiteness | None:
-    """Whiteness of runs' innovations, or None where there are no two of them in a run.
+    """Whiteness of the innovations, or None where no run has two of them.
 
     Args:
-        products: sums of ν̃ₖ·ν̃ₖ₋ₗ of each run `(run, h + 1)`.
-        terms: how many scalar products each has, the same shape.
+        products: sums of ν̃ₖ·ν̃ₖ₋ₗ of each run `(run, h + 1)`, lag 0 first.
+        terms: count of the scalar products in each sum, the same shape.
         level: confidence; each run is tested at 1 - level.
     """
     used = np.isfinite(products).all(axis=-1) & (terms[:, 1:] > 0).any(axis=-1)

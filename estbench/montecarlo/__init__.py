@@ -1,1 +1,1 @@
-"""Many runs: their batches, the workers that compute them, and the results."""
+"""Monte Carlo experiments: batches of runs, workers that compute them, results."""

@@ -1,20 +1,20 @@
-"""The workers of a dask.distributed cluster, as `concurrent.futures` knows them."""
+"""The workers of a dask.distributed cluster as a `concurrent.futures` executor."""
 
 import asyncio
 from concurrent.futures import Executor
 
 from estbench.errors import ExecutorError, MissingExtraError
-from estbench.montecarlo.executors import Pool
+from estbench.montecarlo.pool import Pool
 
 TIMEOUT = 10.0
-"""Seconds in which a scheduler must answer, and have a worker."""
+"""Seconds within which a scheduler must answer and know a worker."""
 
 
 def pool(address: str | None) -> Pool:
     """The workers of the cluster at an address.
 
     Raises:
-        ExecutorError: no address, or nobody answers there in time.
+        ExecutorError: there is no address, or no scheduler with workers answers in time.
         MissingExtraError: dask.distributed is not installed.
     """
     if not address:
@@ -58,7 +58,7 @@ def pool(address: str | None) -> Pool:
 
 
 async def _knock(address: str) -> None:
-    """Ask the scheduler who it is: a `Client` would wait for ever for one that accepts and is mute.
+    """Ask the scheduler for its identity; a `Client` has no time limit for one that never answers.
 
     Raises:
         OSError, TimeoutError, ValueError: it does not answer in `TIMEOUT`.

@@ -1,46 +1,47 @@
-"""Many batches on many workers: what came of each, and when to give up."""
+"""Batches on workers: the outcome of each, and when to give up."""
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 
-from estbench.consistency import records
+from estbench.consistency.fields import Record
 from estbench.errors import ExecutorError, StoreError
-from estbench.experiment import setup
-from estbench.montecarlo import executors, worker
-from estbench.store import zarr as store
+from estbench.experiment.setup import Setup
+from estbench.montecarlo import worker
+from estbench.montecarlo.pool import Failed, Pool, execute
+from estbench.store.zarr import Store
 
 Progress = Callable[[int, int], None]
-"""Called with the runs done and the runs in all."""
+"""Called with the count of finished runs and that of all runs."""
 
 
 def compute(
-    prepared: setup.Setup,
+    prepared: Setup,
     batches: Mapping[int, range],
     keep: str,
-    using: executors.Pool,
-    target: store.Store | None,
-    done: dict[int, dict[str, records.Record]],
+    using: Pool,
+    target: Store | None,
+    done: dict[int, dict[str, Record]],
     progress: Progress | None,
-) -> tuple[dict[int, dict[str, records.Record]], dict[int, Exception], bool]:
+) -> tuple[dict[int, dict[str, Record]], dict[int, Exception], bool]:
     """Compute batches, and write them where there is a store.
 
     Args:
-        prepared: what is run.
-        batches: number -> its runs.
-        keep: what is kept of every run.
+        prepared: the experiment.
+        batches: number of the batch -> its runs.
+        keep: `summary`, `diagonal` or `full`.
         using: the workers.
         target: the store, or None.
-        done: number -> summary records of the batches already finished; those computed are added.
-        progress: called after every batch.
+        done: number -> summary records of the batches already finished; new ones are added.
+        progress: called after each batch.
 
     Returns:
-        Number -> summary records, number -> why a batch failed, and whether Ctrl-C came.
+        Number -> summary records, number -> error of a failed batch, and whether Ctrl-C came.
 
     Raises:
         StoreError: the store cannot be written.
-        EstbenchError: nothing at all can be computed.
+        EstbenchError: no batch can be computed.
     """
     toml = prepared.scenario.to_toml()
     folder = None if target is None else str(target.folder.resolve())
@@ -52,9 +53,9 @@ def compute(
     if using.local:
         work = partial(work, stop=stopping.is_set, prepared=prepared)
     try:
-        with closing(executors.execute(work, tasks, using, stopping.set)) as outcomes:
+        with closing(execute(work, tasks, using, stopping.set)) as outcomes:
             for outcome in outcomes:
-                if isinstance(outcome, executors.Failed):
+                if isinstance(outcome, Failed):
                     failed[outcome.task.index] = outcome.error
                     _give_up(outcome.error, target, done, len(failed))
                     continue
@@ -72,23 +73,23 @@ def compute(
 
 def _give_up(
     error: Exception,
-    target: store.Store | None,
-    done: Mapping[int, dict[str, records.Record]],
+    target: Store | None,
+    done: Mapping[int, dict[str, Record]],
     failed: int,
 ) -> None:
-    """Raise the error of a batch that says that the others will fail too."""
+    """Raise the error of a batch if it means that the others will fail too."""
     if isinstance(error, StoreError) and target is not None:
         runs = sum(len(target.batches[i]) for i in done)
         raise StoreError(
             f"{error} ({runs} of {sum(map(len, target.batches))} runs are finished)"
         ) from None
-    # Nothing works: the input is at fault, or the machine, not one batch.
+    # No batch succeeds: the cause is the input or the machine, not one batch.
     if not done and (failed > 2 or not isinstance(error, ExecutorError)):
         raise error
 
 
 def missing(batches: Sequence[range], failed: Mapping[int, Exception]) -> list[str]:
-    """What failed and why: a line for batches that follow each other and have the same reason."""
+    """Missing runs and the reason: one line for consecutive batches with the same reason."""
     spans: list[tuple[int, int, str]] = []
     for i, error in sorted(failed.items()):
         runs, reason = batches[i], str(error)

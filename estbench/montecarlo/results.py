@@ -1,24 +1,26 @@
-"""The results of one experiment: what Python gets back, and what is printed."""
+"""The results of one experiment: what `estbench.run` returns and the command prints."""
 
 import json
-from collections.abc import Iterable
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
 from rich.console import Console, Group
 from rich.text import Text
 
-from estbench.consistency.nees import Interval, Verdict
-from estbench.consistency.records import Record
-from estbench.consistency.summary import Summary
+from estbench.consistency import statistics
+from estbench.consistency.fields import Record
+from estbench.consistency.nees import Verdict
+from estbench.consistency.statistics import COST, RMSE, Summary
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
-from estbench.tables.columns import Column, Columns
-from estbench.tables.quantity import LARGE, quantity
+from estbench.tables.cells import cell, per_coordinate, plain, value_of
+from estbench.tables.columns import Column, Table
 
 WIDTH = 100
+NOTE_WIDTH = 90
+"""Of the text under a table."""
 COLOURS = {
     Verdict.CONSISTENT: "green",
     Verdict.OVERCONFIDENT: "red",
@@ -36,12 +38,12 @@ class Results:
         scenario: as resolved.
         names, units: of the tangent coordinates.
         times: instants, s.
-        steps: control steps of a run; readings between them make more instants.
+        steps: control steps of each run; readings between them add instants.
         runs: numbers of the finished runs.
-        summaries: one an estimator.
+        summaries: one per estimator.
         records: label -> per-run and per-step arrays (`records.SUMMARY`).
-        notices: what was assumed where the scenario is silent.
-        folder: where it was written, or None.
+        notices: assumptions where the scenario says nothing, and warnings.
+        folder: of the stored results, or None.
         interrupted: whether Ctrl-C cut it short.
         failed: batches that could not be computed; a notice says why.
     """
@@ -70,7 +72,7 @@ class Results:
 
     @property
     def length(self) -> str:
-        """How long a run is: control steps, and instants where readings fall between them."""
+        """Length of each run: control steps, and instants if readings fall between steps."""
         instants = len(self.times) - 1
         between = "" if instants == self.steps else f", {instants} instants"
         return f"{self.steps} steps{between}"
@@ -110,19 +112,8 @@ class Results:
             "estimators": {
                 s.label: {
                     "verdict": str(s.verdict),
-                    "anees_over_n": _plain(s.anees),
-                    "anees_over_n_median": _number(s.anees_median),
-                    "anis_over_m": _plain(s.anis),
-                    "innovation_lag_one": _plain(s.lag_one),
-                    "diverged_share": s.diverged,
-                    "diverged_interval": _plain(s.diverged_interval),
-                    "cost_us_per_run_step": s.cost,
-                    "rmse": {
-                        name: {"unit": unit, **_plain(i), "median": _number(m), "sigma": _number(d)}
-                        for name, unit, i, m, d in zip(
-                            self.names, self.units, s.rmse, s.rmse_median, s.std
-                        )
-                    },
+                    **_plain(s),
+                    **per_coordinate(s, statistics.of("coordinate"), self.names, self.units),
                     "failures": [vars(f) for f in s.failures],
                     "late_readings": s.late,
                 }
@@ -135,53 +126,62 @@ class Results:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
+def _plain(summary: Summary) -> dict[str, Any]:
+    """The statistics without a value per coordinate; the interval of a share has its own key."""
+    out = {}
+    for s in statistics.of("run"):
+        value = value_of(summary, s)
+        if s.form == "share":
+            interval = f"{s.json_key.removesuffix('_share')}_interval"
+            out |= {s.json_key: value.value, interval: plain(value)}
+        else:
+            out[s.json_key] = plain(value)
+    return out
+
+
 def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
-    columns = (
-        _column("estimator", (s.label for s in summaries), "left"),
-        _column(
-            "verdict", (Text(str(s.verdict), style=COLOURS[s.verdict]) for s in summaries), "left"
-        ),
-        _column("NEES/n", (quantity(s.anees) for s in summaries)),
-        _column("median", (_short(s.anees_median) for s in summaries)),
-        _column("NIS/m", (quantity(s.anis) for s in summaries)),
-        _column("lag-one", (quantity(s.lag_one) for s in summaries)),
-        _column("diverged", (f"{s.diverged:.1%}" for s in summaries)),
-        Column("µs/run-step", tuple(f"{s.cost:.3g}" for s in summaries), narrow="µs/step"),
+    verdicts = tuple(Text(str(s.verdict), style=COLOURS[s.verdict]) for s in summaries)
+    columns = [
+        Column(
+            s.heading_in("run"),
+            tuple(cell(s, value_of(summary, s), s.places["run"]) for summary in summaries),
+            narrow=s.narrow,
+        )
+        for s in statistics.shown("run")
+    ]
+    table = Table(
+        (Column("estimator", tuple(s.label for s in summaries), "left"),),
+        ((Column("verdict", verdicts, "left"),), *((column,) for column in columns)),
     )
-    return Group(
-        Columns(columns[:1], tuple((column,) for column in columns[1:])),
-        Text(
-            "NEES/n and NIS/m are 1, the innovations' lag-one correlation is 0, for a consistent\n"
-            f"filter; ± and brackets: the {level:.0%} interval across runs; cost: of one core, "
-            "a run and step.",
-            style="dim",
-        ),
+    note = (
+        f"{statistics.ideals('run')}, for a consistent filter; ± and brackets: the {level:.0%} "
+        f"interval across runs; {COST.note}."
     )
+    return Group(table, Text(textwrap.fill(note, NOTE_WIDTH), style="dim"))
 
 
 def _accuracy(
     summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...]
 ) -> Group:
+    """Statistics per coordinate: RMSE alone where there are many estimators."""
     detailed = len(summaries) <= 3
-    keys = _column("coordinate", names, "left"), _column("unit", units, "left")
+    # First the statistics over the same runs as RMSE, then those over all runs.
+    found = sorted(statistics.shown("run", "coordinate"), key=lambda s: s.all_runs)
     groups = []
-    for s in summaries:
-        heading = f"{s.label} RMSE" if detailed else s.label
-        values = tuple(f"{i.value:.3g}" for i in s.rmse)
-        group = [Column(heading, values, narrow=heading.replace(" ", "\n"))]
-        if detailed:
-            group.append(_column("σ", (f"{x:.3g}" for x in s.std)))
-            group.append(_column("median", (f"{x:.3g}" for x in s.rmse_median)))
+    for summary in summaries:
+        group = []
+        for s in found if detailed else [RMSE]:
+            heading = summary.label if s is RMSE else s.heading
+            if s is RMSE and detailed:
+                heading += f" {s.heading}"
+            cells = tuple(cell(s, x, s.places["run"]) for x in value_of(summary, s))
+            narrow = heading.replace(" ", "\n") if s is RMSE else s.narrow
+            group.append(Column(heading, cells, narrow=narrow))
         groups.append(tuple(group))
-    more = "; σ is what the filter\nreports; median is that of all runs." if detailed else "."
-    text = f"RMSE over time and the runs that did not diverge{more}"
-    return Group(Columns(keys, tuple(groups)), Text(text, style="dim"))
-
-
-def _column(
-    heading: str, cells: Iterable[str | Text], justify: Literal["left", "right"] = "right"
-) -> Column:
-    return Column(heading, tuple(cells), justify)
+    keys = Column("coordinate", names, "left"), Column("unit", units, "left")
+    notes = [s.note for s in found if s.note] if detailed else [RMSE.note]
+    note = textwrap.fill(f"{'; '.join(notes)}.", NOTE_WIDTH - 15)
+    return Group(Table(keys, tuple(groups)), Text(note, style="dim"))
 
 
 def _failures(summaries: tuple[Summary, ...], most: int = 3) -> list[str]:
@@ -200,15 +200,3 @@ def _late(summaries: tuple[Summary, ...]) -> list[str]:
         for s in summaries
         if s.late
     ]
-
-
-def _short(x: float) -> str:
-    return f"{x:.3f}" if abs(x) < LARGE else f"{x:.2e}"
-
-
-def _number(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
-def _plain(i: Interval) -> dict[str, float | None]:
-    return {"value": _number(i.value), "low": _number(i.low), "high": _number(i.high)}

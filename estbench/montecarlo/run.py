@@ -1,25 +1,23 @@
-"""Monte Carlo: many runs in batches on workers, interruptible, every finished run kept."""
+"""Monte Carlo experiments: batches of runs on workers, interruptible, finished runs are kept."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from estbench.consistency import records
-from estbench.consistency import summary as statistics
+from estbench.consistency.fields import Record
+from estbench.consistency.records import merge
+from estbench.consistency.summary import summarize
 from estbench.errors import ExecutorError, Interrupted, StoreError
-from estbench.experiment import setup
-from estbench.montecarlo import batch as one
-from estbench.montecarlo import dispatch, executors
-from estbench.montecarlo.batch import default_batch_size, run_batch, traced
+from estbench.experiment.setup import Setup, build
+from estbench.montecarlo import batch, dispatch, executors
 from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo.pool import Pool
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
-from estbench.store import zarr as store
-
-__all__ = ["default_batch_size", "resolve", "run", "run_batch", "traced"]
+from estbench.store.zarr import Store
 
 Say = Callable[[str], None]
-"""Called with a line that is better read before the runs are computed than after."""
+"""Called with a notice that the user should read before the runs are computed."""
 
 
 def run(
@@ -46,39 +44,39 @@ def run(
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
-        estimators: labels, names or classes to run in place of the scenario's; one needs no list.
+        estimators: labels, names or classes, in place of the scenario's; one needs no list.
         runs: Monte Carlo runs, in place of the scenario's.
         seed: in place of the scenario's.
         duration: s, in place of the scenario's.
         overrides: `section.key=value` strings.
-        out: folder to write the results to; None writes nothing.
-        keep: what the store keeps of every run; `auto` is `diagonal` while the traces of all runs
-            take at most 1 GiB (`batches.TRACES_BYTES`), else `summary`, which is said.
-        dtype: of the stored traces; default `float64`, or that of the store to go on with.
-        resume: go on with `out` if it exists: only what is missing is computed.
+        out: folder of the results; None writes nothing.
+        keep: what is stored of each run; `auto` is `diagonal` if the traces of all runs take at
+            most 1 GiB (`batch.TRACES_BYTES`), else `summary`, with a notice.
+        dtype: of the stored traces; default `float64`, or that of the resumed store.
+        resume: continue `out` if it exists: only missing batches are computed.
         shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
         executor: `threads`, `processes` (spawned, so that a script needs its
             `if __name__ == "__main__":`), `auto` (processes for long work on many CPUs), or `dask`.
         address: of the dask scheduler.
-        workers: threads or processes; default the CPUs this process may use, as far as the memory
-            goes.
-        batch_size: runs a batch; default by memory. It does not change the results.
-        progress: called after every batch.
-        say: called with a notice of a store that was begun under other versions.
+        workers: count of threads or processes; default the CPUs this process may use, or as many
+            as the memory allows.
+        batch_size: runs per batch; default by memory. It does not change the results.
+        progress: called after each batch.
+        say: called with the warning about a store that was begun with other versions.
 
     Returns:
-        The results; `print` shows the tables. After Ctrl-C those of the finished runs.
+        The results; `print` shows the tables. After Ctrl-C, the results of the finished runs.
 
     Raises:
-        EstbenchError: anything wrong with the input, before anything is written.
+        EstbenchError: the input is wrong; nothing has been written.
     """
     stored = dtype or "float64"
     _check(out, keep, stored, resume, shard, executor, address, workers, batch_size)
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
-    prepared = setup.build(resolved)
+    prepared = build(resolved)
     level, notices = _level(prepared, keep, stored, out is not None)
-    size = batch_size or default_batch_size(prepared, level)
-    using = _pool(prepared, executor, address, workers, size * one.run_bytes(prepared, level))
+    size = batch_size or batch.default_batch_size(prepared, level)
+    using = _pool(prepared, executor, address, workers, size * batch.run_bytes(prepared, level))
     if out is None:
         count = resolved.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
@@ -104,7 +102,7 @@ def run(
             done, failed, interrupted = dispatch.compute(
                 prepared, wanted, target.keep, using, target, done, progress
             )
-            if interrupted:  # a worker may have written what it had no time to report
+            if interrupted:  # a worker may have written a batch and not reported it
                 done = {**_finished(target)[0], **done}
         finally:
             if not done and shard is None:
@@ -133,7 +131,7 @@ def _check(
     workers: int | None,
     batch_size: int | None,
 ) -> None:
-    """Refuse arguments that are wrong by themselves, or that exclude each other."""
+    """Check the arguments, each by itself and in combination."""
     if shard is not None and not 1 <= shard[0] <= shard[1]:
         raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
     for name, value in (("batch_size", batch_size), ("workers", workers)):
@@ -155,26 +153,22 @@ def _check(
         )
 
 
-def _level(
-    prepared: setup.Setup, keep: str, dtype: str, stored: bool
-) -> tuple[str, tuple[str, ...]]:
-    """What to keep of every run, and what to say of it."""
+def _level(prepared: Setup, keep: str, dtype: str, stored: bool) -> tuple[str, tuple[str, ...]]:
+    """What is stored of each run, and a notice about it."""
     if keep != "auto":
         return keep, ()
-    level = one.default_keep(prepared, dtype)
+    level = batch.default_keep(prepared, dtype)
     if level == "diagonal" or not stored:
         return level, ()
-    size, most = (x / 2**30 for x in (one.trace_bytes(prepared, dtype), one.TRACES_BYTES))
+    size, most = (x / 2**30 for x in (batch.trace_bytes(prepared, dtype), batch.TRACES_BYTES))
     return level, (
         f"the traces of all runs would take {size:.3g} GiB, more than {most:.3g}: only averages "
         "are stored; --keep diagonal stores the traces too",
     )
 
 
-def _pool(
-    prepared: setup.Setup, kind: str, address: str | None, workers: int | None, size: int
-) -> executors.Pool:
-    """The workers, as many as fit."""
+def _pool(prepared: Setup, kind: str, address: str | None, workers: int | None, size: int) -> Pool:
+    """The pool, with as many workers as fit the machine."""
     if kind == "auto":
         scenario = prepared.scenario
         steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
@@ -184,30 +178,30 @@ def _pool(
 
 def _open(
     folder: Path,
-    prepared: setup.Setup,
+    prepared: Setup,
     keep: str,
     size: int,
     dtype: str,
     resume: bool,
     shard: tuple[int, int] | None,
-) -> store.Store:
-    """A new store, or the one to go on with; of several shards the first comer makes it."""
+) -> Store:
+    """A new store, or the resumed one; of several shards the first makes it."""
     if (resume or shard is not None) and folder.exists():
-        return store.Store.reopen(folder, prepared)
+        return Store.reopen(folder, prepared)
     try:
-        return store.Store.create(folder, prepared, keep, size, dtype)
+        return Store.create(folder, prepared, keep, size, dtype)
     except StoreError:
         if shard is None or not folder.exists():
             raise
-        return store.Store.reopen(folder, prepared)
+        return Store.reopen(folder, prepared)
 
 
-def _share(target: store.Store, shard: tuple[int, int]) -> range:
+def _share(target: Store, shard: tuple[int, int]) -> range:
     return range(shard[0] - 1, len(target.batches), shard[1])
 
 
-def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]], list[int]]:
-    """Summary records of the batches that are done, and the batches found corrupted."""
+def _finished(target: Store) -> tuple[dict[int, dict[str, Record]], list[int]]:
+    """Summary records of the finished batches, and the numbers of the corrupted ones."""
     done, corrupted = {}, []
     for index in range(len(target.batches)):
         if target.finished(index):
@@ -220,15 +214,15 @@ def _finished(target: store.Store) -> tuple[dict[int, dict[str, records.Record]]
 
 
 def _collect(
-    prepared: setup.Setup,
+    prepared: Setup,
     batches: Sequence[range],
-    done: dict[int, dict[str, records.Record]],
+    done: dict[int, dict[str, Record]],
     failed: dict[int, Exception],
-    target: store.Store | None,
+    target: Store | None,
     interrupted: bool,
     notices: Sequence[str] = (),
 ) -> Results:
-    """The results of the batches that are done."""
+    """The results of the finished batches."""
     if not done and failed:
         raise next(iter(failed.values()))
     if not done:
@@ -236,8 +230,7 @@ def _collect(
     order = sorted(done)
     runs = [run for i in order for run in batches[i]]
     merged = {
-        label: records.merge([done[i][label] for i in order])
-        for label in prepared.scenario.estimators
+        label: merge([done[i][label] for i in order]) for label in prepared.scenario.estimators
     }
     section = prepared.scenario.consistency
     return Results(
@@ -248,7 +241,7 @@ def _collect(
         steps=sum(instant.control for instant in prepared.instants),
         runs=tuple(runs),
         summaries=tuple(
-            statistics.summarize(label, record, runs, prepared.times, section)
+            summarize(label, record, runs, prepared.times, section)
             for label, record in merged.items()
         ),
         records=merged,

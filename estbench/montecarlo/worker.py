@@ -1,26 +1,27 @@
-"""One batch of runs, wherever it is computed: build what it needs, run it, write it."""
+"""One batch of runs on a worker: build the experiment, run the batch, write it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from estbench.consistency import records
-from estbench.experiment import setup
+from estbench.consistency.fields import Record
+from estbench.consistency.records import COST, SUMMARY
+from estbench.experiment.setup import Setup, build
 from estbench.montecarlo.batch import run_batch
-from estbench.scenario import load as scenario
+from estbench.scenario.load import parse
 from estbench.store.zarr import Store
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker is told; small, so that it travels.
+    """The task of a worker: small, as it is sent to other processes.
 
     Attributes:
         toml: the resolved scenario.
         keep: `summary`, `diagonal` or `full`.
         folder: store to write to, or None.
-        index: of the batch.
+        index: number of the batch.
         runs: first run and the one after the last.
     """
 
@@ -34,14 +35,14 @@ class Task:
 def work(
     task: Task,
     stop: Callable[[], bool] = lambda: False,
-    prepared: setup.Setup | None = None,
-) -> dict[str, records.Record] | None:
-    """Compute and write a batch; its summary records, or None when `stop` answered True.
+    prepared: Setup | None = None,
+) -> dict[str, Record] | None:
+    """Compute and write a batch; its summary records, or None if `stop` answered True.
 
     Args:
-        task: what to do.
-        stop: asked at every instant.
-        prepared: what the task's scenario stands for, where the caller shares its memory.
+        task: the batch.
+        stop: called at every instant; True ends the batch.
+        prepared: the experiment of the task's scenario, if the caller has it in memory.
 
     Raises:
         EstbenchError: the batch cannot be computed or written.
@@ -54,14 +55,14 @@ def work(
     if task.folder is not None:
         _store(task.folder, task.toml).write(task.index, batch.truth, batch.records)
     return {
-        label: {name: record[name] for name in records.SUMMARY | records.COST}
+        label: {name: record[name] for name in SUMMARY | COST}
         for label, record in batch.records.items()
     }
 
 
 @lru_cache(maxsize=2)
-def _prepared(toml: str) -> setup.Setup:
-    return setup.build(scenario.parse(toml))
+def _prepared(toml: str) -> Setup:
+    return build(parse(toml))
 
 
 @lru_cache(maxsize=2)

@@ -1,1 +1,1 @@
-"""Look rather than read: the HTML report, paper figures, ghost videos and the live view."""
+"""The HTML report, figures for papers, videos and the live view."""

@@ -29,7 +29,7 @@ class Facts:
 
     Attributes:
         title: of the source.
-        description: one line.
+        description: of the scenario, one line.
         rows: pairs of name and value.
         headings: headings of `sensors`.
         sensors: one row per channel; empty without the robot.
@@ -51,12 +51,12 @@ class Facts:
 
 
 def verdict(entry: Entry, steps: Steps) -> str:
-    """What to think of one estimator, in a sentence or two."""
+    """The verdict on one estimator in one or two sentences."""
     s = entry.summary
     good = s.runs - round(s.diverged * s.runs)
     nees = f"NEES/n is {quantity(s.anees)} over {good} runs"
     percent = f"{s.diverged:.1%} of {s.runs} runs diverged"
-    # Not RMSE/σ of a coordinate: where coordinates are correlated each may be nearer to 1.
+    # Not RMSE/σ of one coordinate: with correlated coordinates each may be nearer to 1.
     root = f"{math.sqrt(max(s.anees.value, 0)):.3g}"
     along = f"{root} σ in root mean square along the covariance's own axes"
     sentences = {
@@ -82,7 +82,7 @@ def verdict(entry: Entry, steps: Steps) -> str:
 
 
 def facts(source: Stored) -> Facts:
-    """What was simulated; the parts that need the robot are empty where its file is gone."""
+    """Facts about the scenario; those that need the robot are empty if its file is missing."""
     scenario, attrs = source.scenario, source.attrs
     simulation = scenario.simulation
     count = f"{len(source.runs)}"
@@ -122,7 +122,7 @@ def facts(source: Stored) -> Facts:
 
 
 def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
-    """Coordinate, unit, initial σ, spectral density of the noise that enters there."""
+    """Coordinate, unit, initial σ, spectral density of the process noise on it."""
     space, noise, nv = prepared.space, prepared.disturbance, prepared.plant.model.nv
     density = np.diag(noise.density)
     text = [""] * space.n
@@ -164,7 +164,7 @@ def _differences(source: Stored, channels: Sequence[ChannelDescription]) -> list
 
 @dataclass(frozen=True)
 class Diverged:
-    """One run that diverged: when (None if the store cannot say) and why."""
+    """One diverged run: time (None if the store does not have it) and cause."""
 
     entry: str
     run: int
@@ -176,7 +176,7 @@ class Diverged:
 def diverged(
     entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]
 ) -> list[tuple[str, int, list[Diverged]]]:
-    """Of every entry with any: its key, how many runs diverged, and the first of them."""
+    """For each entry with diverged runs: its key, their count, and the first of them."""
     out = []
     for entry, traces in zip(entries, statistics):
         lost = np.flatnonzero(~entry.good)
@@ -187,7 +187,7 @@ def diverged(
         rows = []
         for i in lost[:DIVERGED_ROWS]:
             run, fault = int(entry.source.runs[i]), int(entry.record["fault"][i])
-            # A run may be lost long before it fails: then the cause is what came first.
+            # NEES may pass the threshold long before the run fails: the first event is the cause.
             left = traces.left.get(run, math.nan) if traces is not None else math.nan
             step = int(entry.record["fault_step"][i]) if fault else None
             cause = Fault(fault).text if fault else ""

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estbench
+from estbench.consistency import statistics
+from estbench.consistency.statistics import LAG_ONE
 from estbench.errors import MissingExtraError, StoreError
 from estbench.inference.lags import LAGS
 from estbench.report import facts, pictures, tables
@@ -28,9 +30,9 @@ except ImportError:
     raise MissingExtraError("plotly or jinja2", "report") from None
 
 SHOWN_ENTRIES, SHOWN_COORDINATES = 4, 8
-"""How many are drawn before the reader chooses."""
+"""How many entries and coordinates are drawn at first."""
 NAMED = 6
-"""How many estimators the page's title names."""
+"""Most estimators in the page's title."""
 SECTIONS = (
     ("verdicts", "Verdicts"), ("scenario", "Scenario"), ("comparison", "Comparison"),
     ("error", "Error"), ("consistency", "Consistency"), ("rmse", "RMSE"),
@@ -47,13 +49,13 @@ def write_report(
     video: bool = True,
     say: Say = lambda line: None,
 ) -> Path:
-    """Write the report of some results folders.
+    """Write the report of results folders.
 
     Args:
-        folders: as `estbench run` wrote them, all of one robot.
+        folders: written by `estbench run`, all of one robot.
         out: the file; default `report.html` in the first folder.
-        estimators: labels to take; default all.
-        video: whether to embed clips of the best and of the worst run where they can be drawn.
+        estimators: labels to show; default all.
+        video: whether to embed clips of the best and of the worst run, if they can be drawn.
         say: called with a line about each slow part.
 
     Returns:
@@ -76,13 +78,13 @@ def write_report(
 
 def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line: None) -> str:
     """The page as text."""
-    statistics = []
+    of_traces = []
     for entry in entries:
         say(f"reading {entry.key}")
-        statistics.append(traces.statistics(entry))
-    material = Material(entries, statistics)
+        of_traces.append(traces.statistics(entry))
+    material = Material(entries, of_traces)
     figures = drawings(material)
-    has_traces = any(statistics)
+    has_traces = any(of_traces)
     runs, points = traces.run_points(entries)
     chosen = data.choose_runs(entries, runs) if has_traces else []
     clips, problem = pictures.clips(entries, say) if video and has_traces else ([], "")
@@ -103,11 +105,16 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
            else f": {len(entries)} estimators"),
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=estbench.__version__,
-        notices=tables.notices(entries, statistics),
+        notices=tables.notices(entries, of_traces),
         sections=[s for s in SECTIONS if s[0] not in ("error", "coverage", "correlation")
                   or figures[s[0]]],
         entries=[tables.entry(material, i) for i in range(len(entries))],
         rmse=tables.rmse(entries),
+        headings=[s.heading_in("report") for s in statistics.shown("report")],
+        more_headings=[s.heading for s in statistics.shown("report", "coordinate")[1:]],
+        ideals=statistics.ideals("report"),
+        rmse_notes=[s.note for s in statistics.shown("report", "coordinate") if s.note],
+        lag_one=LAG_ONE.heading,
         baselines=tables.baselines(entries) if len(entries) > 1 else [],
         names=first.names,
         many=len(entries) > max(3, len(first.names)),
@@ -125,10 +132,10 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         exact=has_traces,
         clips=clips,
         no_clips=problem,
-        outside=tables.outside(entries, statistics),
+        outside=tables.outside(entries, of_traces),
         white=tables.white(material),
         lags=LAGS,
-        diverged=facts.diverged(entries, statistics),
+        diverged=facts.diverged(entries, of_traces),
         drawn=f"Statistics are over every run; {len(chosen)} runs are drawn." if chosen else "",
         css=_raw(text("page.css").read_text("utf-8")),
         js=_raw(text("page.js").read_text("utf-8")),
@@ -138,14 +145,14 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
 
 
 def _raw(text: str) -> Any:
-    """Text that goes into a script or style as it is; nothing in it may close the element."""
+    """Text for a script or style element, unescaped; nothing in it may close the element."""
     from markupsafe import Markup
 
     return Markup(text.replace("</script", "<\\/script").replace("</style", "<\\/style"))
 
 
 def _worst(entry: Entry, chosen: Sequence[data.Chosen]) -> str:
-    """The run shown first: the worst of the first entry."""
+    """The run shown first: the worst one of the first entry."""
     if not chosen:
         return ""
     anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)
@@ -160,7 +167,7 @@ def _data(
     points: int,
     shown_run: str,
 ) -> str:
-    """What the page's script reads, as JSON."""
+    """The data for the page's script, as JSON."""
     runs: dict[str, dict[str, Any]] = {}
     for choice in chosen:
         runs[str(choice.run)] = {}

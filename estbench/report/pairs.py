@@ -1,4 +1,4 @@
-"""Every two entries compared run by run, with the tests of `analysis.comparison`."""
+"""Comparison of all pairs of entries run by run, with the tests of `analysis.comparison`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired, compare, holm, paired, score
-from estbench.consistency.nees import Interval
 from estbench.report.sources import Entry
 from estbench.shapes import Array
 
@@ -23,10 +22,10 @@ class Difference:
     Attributes:
         entry, baseline: keys.
         cost: ratio.
-        score: over all coordinates, as `estbench compare` ranks: ratio of RMSE, Holm's p-values
-            over all pairs of entries, and whether the two are told apart.
-        nees: of the runs' NEES/n.
-        rmse: of the runs' RMSE, one a coordinate, in its unit.
+        score: over all coordinates, as in `estbench compare`: ratio of RMSE, Holm's p-values over
+            all pairs of entries, and whether the two differ.
+        nees: comparison of the runs' NEES/n.
+        rmse: comparison of the runs' RMSE, one per coordinate, in its unit.
         p: Wilcoxon's p-values of NEES/n and each RMSE `(1 + n,)`, after Holm's correction over all
             these quantities of all pairs.
     """
@@ -48,7 +47,7 @@ class Difference:
 
 
 def differences(entries: Sequence[Entry]) -> list[Difference]:
-    """Each entry minus each other one, over the runs that all the sources have; [] if none."""
+    """Each entry minus each other one, over the runs that all sources have; [] without any."""
     runs = reduce(np.intersect1d, [entry.source.runs for entry in entries])
     if len(entries) < 2 or not len(runs):
         return []
@@ -78,15 +77,13 @@ def differences(entries: Sequence[Entry]) -> list[Difference]:
 
 
 def _negative(p: Paired) -> Paired:
-    i = p.difference
     return replace(
-        p, difference=Interval(-i.value, -i.high, -i.low), lost=-p.lost, less=p.more, more=p.less,
+        p, difference=-p.difference, lost=-p.lost, less=p.more, more=p.less,
         effect=-p.effect,
     )  # fmt: skip
 
 
 def _turned(pair: Pair) -> Pair:
-    i = pair.ratio
-    with np.errstate(divide="ignore"):
-        ratio = Interval(*(float(np.divide(1, x)) for x in (i.value, i.high, i.low)))
-    return replace(pair, a=pair.b, b=pair.a, paired=_negative(pair.paired), ratio=ratio)
+    return replace(
+        pair, a=pair.b, b=pair.a, paired=_negative(pair.paired), ratio=pair.ratio.reciprocal()
+    )

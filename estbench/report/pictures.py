@@ -18,7 +18,7 @@ CLIP_SECONDS, CLIP_FPS, CLIP_WIDTH = 5.0, 12.0, 320
 
 
 def picture(source: Stored, say: Say) -> str:
-    """The robot at its initial estimate as a data URI, or "" where it cannot be drawn."""
+    """The robot at its initial estimate as a data URI, or "" if it cannot be drawn."""
     try:
         prepared = setup.build(source.scenario)
         with render.Renderer(prepared.plant.model, 480, 360) as renderer:
@@ -30,7 +30,7 @@ def picture(source: Stored, say: Say) -> str:
 
 
 def clips(entries: Sequence[Entry], say: Say) -> tuple[list[dict[str, Any]], str]:
-    """Short videos of the best and of the worst run, or a line that says why there are none."""
+    """Short videos of the best and of the worst run, or the reason why there are none."""
     try:
         from estbench.report.rendering import video
 
@@ -58,7 +58,7 @@ def clips(entries: Sequence[Entry], say: Say) -> tuple[list[dict[str, Any]], str
 
 
 def _extremes(entries: Sequence[Entry]) -> list[tuple[str, Entry, int]]:
-    """The runs of least and greatest time-averaged NEES/n of all entries with traces."""
+    """The runs with the least and the greatest time-averaged NEES/n of all entries with traces."""
     found = []
     for entry in entries:
         if entry.source.has_traces:

@@ -2,27 +2,29 @@
 
 from collections.abc import Iterator, Sequence
 
-from rich import box
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from estbench.experiment.setup import Setup
 from estbench.sensors.description import HEADINGS, ChannelDescription, describe
+from estbench.tables.columns import Column, Table
 
 
 def render(setup: Setup) -> Group:
     """The channels, what the filter believes of them, and the notices, for a rich console."""
     section = setup.scenario.filter
     described = describe(setup.channels, section)
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    for heading in HEADINGS:
-        right = heading in ("noise σ", "rate", "latency")
-        table.add_column(
-            heading, justify="right" if right else "left", no_wrap=heading != "imperfections"
+    rows = [channel.row() for channel in described]
+    columns = tuple(
+        Column(
+            heading,
+            tuple(row[i] for row in rows),
+            "right" if heading in ("noise σ", "rate", "latency") else "left",
+            wraps=heading == "imperfections",
         )
-    for channel in described:
-        table.add_row(*channel.row())
+        for i, heading in enumerate(HEADINGS)
+    )
+    table = Table(columns[:1], (columns[1:],))
     lines = [Text(line) for line in _beliefs(described, section.measurement_noise_scale)]
     lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)

@@ -1,4 +1,4 @@
-"""Stores as a report reads them: the finished runs of each, and one entry an estimator."""
+"""The stores of a report: the finished runs of each, and one entry per estimator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from estbench.analysis import load as stored
 from estbench.analysis.load import Stored
-from estbench.consistency.records import Record
-from estbench.consistency.summary import Summary
+from estbench.consistency.fields import Record
+from estbench.consistency.statistics import Summary
 from estbench.errors import StoreError, did_you_mean
 
 
@@ -45,12 +45,12 @@ class Entry:
         return self.source.group(self.label)
 
     def position(self, run: int) -> int | None:
-        """Where a run stands in the store, or None if it is not there."""
+        """Index of a run in the store, or None if it is not there."""
         found = np.flatnonzero(read(self.source.tree, "run") == run)
         return int(found[0]) if len(found) and run in self.source.runs else None
 
     def no_run(self, run: int) -> StoreError:
-        """What to raise where a run is asked for that is not there."""
+        """The error for a run that the store does not have."""
         runs = self.source.runs
         return StoreError(
             f"{self.source.folder} has no finished run {run}; it has {len(runs)} runs, "
@@ -59,11 +59,11 @@ class Entry:
 
 
 def load(folders: Sequence[str | Path], estimators: Sequence[str] = ()) -> list[Entry]:
-    """The estimators of some results folders, in order.
+    """The estimators of results folders, in order.
 
     Args:
-        folders: as `estbench run` wrote them.
-        estimators: labels to take; default all.
+        folders: written by `estbench run`.
+        estimators: labels to show; default all.
 
     Raises:
         StoreError: a folder is no results folder, has no finished run, or their states differ;

@@ -1,4 +1,4 @@
-"""The page's tables and sentences, each number in full beside what is shown."""
+"""The page's tables and notices; each cell has the number in full and as it is shown."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from estbench.analysis.comparison import Pair, Paired
-from estbench.analysis.tables import bounds, number, percent, probability
+from estbench.consistency import statistics
+from estbench.consistency.declaration import Statistic
+from estbench.consistency.statistics import LAG_ONE
 from estbench.report import facts
 from estbench.report.figures import palette
 from estbench.report.figures.drawing import Material
@@ -15,40 +17,40 @@ from estbench.report.figures.traces import TraceStatistics
 from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.store.versions import known, mixed
-from estbench.tables.quantity import quantity
+from estbench.tables.cells import cell, estimate, share, value_of
+from estbench.tables.quantity import bounds, number, percent, probability, quantity
 
 MARKS = {"": "", "less": " ▼", "more": " ▲"}
 NONE = 1e-4
-"""A difference whose whole interval is below this part of the value is shown as none."""
+"""A difference whose whole interval is below this part of the value is shown as 0."""
 
 
 def _cell(value: float, shown: str, kind: str = "", p: float | None = None) -> dict[str, Any]:
-    """A table cell: the number in full for whoever parses the page, and as it is shown."""
+    """A table cell: the number in full, for programs, and as it is shown."""
     cell = {"value": repr(float(value)), "shown": shown, "class": kind}
     return cell if p is None else cell | {"p": repr(float(p)), "p_shown": probability(p)}
 
 
 def _share(value: float) -> dict[str, Any]:
-    return _cell(value, f"{value:.1%}" if np.isfinite(value) else "–")
+    return _cell(value, share(value))
+
+
+def _statistic(s: Statistic, value: Any) -> dict[str, Any]:
+    return _cell(estimate(value), cell(s, value, s.places["report"]))
 
 
 def entry(material: Material, i: int) -> dict[str, Any]:
     """Row of the table of verdicts."""
     entry = material.entries[i]
-    s, nees, nis = entry.summary, material.nees[i], material.nis[i]
+    summary, nees, nis = entry.summary, material.nees[i], material.nis[i]
     return {
         "key": entry.key,
         "colour": palette.colour(i),
         "dashes": palette.dash(i).replace("px", "").replace("solid", ""),
-        "verdict": str(s.verdict),
+        "verdict": str(summary.verdict),
         "sentence": facts.verdict(entry, nees),
         "cells": [
-            _cell(s.anees.value, quantity(s.anees)),
-            _cell(s.anees_median, number(s.anees_median, 3)),
-            _cell(s.anis.value, quantity(s.anis)),
-            _cell(s.lag_one.value, quantity(s.lag_one)),
-            _cell(s.diverged, f"{s.diverged:.1%}"),
-            _cell(s.cost, number(s.cost)),
+            *(_statistic(s, value_of(summary, s)) for s in statistics.shown("report")),
             _share(nees.outside),
             _share(nis.outside),
         ],
@@ -56,23 +58,21 @@ def entry(material: Material, i: int) -> dict[str, Any]:
 
 
 def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Rows of the table of RMSE and σ."""
+    """Rows of the table of RMSE and σ: the statistics of each coordinate, entry by entry."""
     source = entries[0].source
     rows = []
     for i, (name, unit) in enumerate(zip(source.names, source.units)):
-        cells = []
-        for entry in entries:
-            s = entry.summary
-            cells += [
-                _cell(s.rmse[i].value, quantity(s.rmse[i])),
-                _cell(s.std[i], number(s.std[i])),
-            ]
+        cells = [
+            _statistic(s, value_of(entry.summary, s)[i])
+            for entry in entries
+            for s in statistics.shown("report", "coordinate")
+        ]
         rows.append({"name": name, "unit": unit, "cells": cells})
     return rows
 
 
 def baselines(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """A table for each baseline: rows of a quantity, columns of the other entries."""
+    """One table per baseline: one row per quantity, one column per other entry."""
     out = []
     names, units = entries[0].source.names, entries[0].source.units
     found, level = differences(entries), entries[0].source.level
@@ -103,7 +103,7 @@ def _p(p: float) -> dict[str, Any]:
 
 
 def _ratio(pair: Pair) -> dict[str, Any]:
-    """The ratio of RMSE over all coordinates; coloured where the two are told apart."""
+    """The ratio of RMSE over all coordinates, coloured if the two differ."""
     kind = _side(pair.paired.effect) if pair.differ else ""
     return _cell(pair.ratio.value, bounds(pair.ratio) + MARKS[kind], kind)
 
@@ -113,7 +113,7 @@ def _counts(p: Paired) -> dict[str, Any]:
 
 
 def _difference(d: Paired, scale: float, p: float, level: float) -> dict[str, Any]:
-    """A cell; coloured where the difference is neither chance nor too small to matter."""
+    """The cell of a difference, coloured if it is significant and larger than the margin."""
     i = d.difference
     told = p < 1 - level and i.value * np.sign(d.effect) > MARGIN * abs(scale)
     kind = _side(d.effect) if told else ""
@@ -128,7 +128,7 @@ def _side(effect: float) -> str:
 def outside(
     entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]
 ) -> list[dict[str, Any]]:
-    """Rows of the table of single values of NEES and NIS outside the band of one run."""
+    """Rows of the table of shares of NEES and NIS values outside the band of one run."""
     return [
         {"key": e.key, "cells": [_share(share) for share in t.outside]}
         for e, t in zip(entries, statistics)
@@ -137,14 +137,13 @@ def outside(
 
 
 def white(material: Material) -> dict[str, Any]:
-    """The table of lag-one correlations and of Ljung and Box's test, whole and by channel."""
+    """The table of lag-one correlations and of Ljung and Box's test, together and by channel."""
     names = list(dict.fromkeys(name for found in material.channels for name in found))
     if any(material.white):
         names.insert(0, "all channels" if names else "")
     rows = []
     for entry, one, channels in zip(material.entries, material.white, material.channels):
-        lag_one = entry.summary.lag_one
-        cells = [_cell(lag_one.value, quantity(lag_one))]
+        cells = [_statistic(LAG_ONE, entry.summary.lag_one)]
         for name in names:
             found = one if name in ("", "all channels") else channels.get(name)
             cells += _test(found)
@@ -160,7 +159,7 @@ def _test(found: Correlation | None) -> list[dict[str, Any]]:
 
 
 def notices(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | None]) -> list[str]:
-    """What the reader must know before anything else."""
+    """Warnings at the top of the page: unfinished stores, several versions, missing traces."""
     out = []
     for source in {id(e.source): e.source for e in entries}.values():
         if len(source.runs) < source.total:

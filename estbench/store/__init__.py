@@ -1,1 +1,1 @@
-"""Results on disk: the zarr store, what it declares, its locks and versions."""
+"""Results on disk: the zarr store, its arrays, its locks and its versions."""

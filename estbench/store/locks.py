@@ -1,7 +1,8 @@
-"""Who may write into a results folder, and what a writer that was killed left in it or beside it.
+"""Locks of a results folder, and removal of the files that killed writers left.
 
-A process alone holds `.lock` exclusively; processes that share a store by `--shard` hold it
-together, and each the lock of its own share. The system frees a lock when its process dies.
+One process that writes alone holds `.lock` exclusively. Processes that write one store by `--shard`
+hold it together, and each holds the lock of its own share. The system releases the locks of a
+process that dies.
 """
 
 import contextlib
@@ -21,7 +22,7 @@ Shard = tuple[int, int]
 
 @contextmanager
 def held(folder: Path, shard: Shard | None) -> Iterator[None]:
-    """Hold the folder alone, or one share of it.
+    """Hold the lock of the folder, or that of one share of it.
 
     Raises:
         BlockingIOError: another process holds it.
@@ -39,7 +40,7 @@ def held(folder: Path, shard: Shard | None) -> Iterator[None]:
 
 @contextmanager
 def briefly(folder: Path) -> Iterator[None]:
-    """Wait for one's turn to change what all shares write: the store's attributes.
+    """Wait for the lock of what all shares write: the store's attributes and metadata.
 
     Raises:
         OSError: the file system cannot lock.
@@ -50,12 +51,17 @@ def briefly(folder: Path) -> Iterator[None]:
 
 
 def sweep(folder: Path, store: Path, shard: Shard | None) -> None:
-    """Remove the files that dead writers left unfinished; call it where the folder is `held`.
+    """Remove the unfinished files of killed writers; call it while the folder is `held`.
 
-    A chunk is written beside its place as `*.partial` and then renamed, so that a writer which is
-    killed in between leaves that file for ever. Who holds the folder alone owns them all. A share
-    owns those of its own batches, as nobody else writes them; where the store has also been split
-    into another count of shares somebody else may, and nothing is removed.
+    zarr writes a chunk to a file `*.partial` and then renames it, so a writer that is killed in
+    between leaves this file. A process that holds the folder alone removes all of them. A share
+    removes those of its own batches, which no other process writes. Where locks of another count
+    of shares exist, another process may write these batches, and nothing is removed.
+
+    Args:
+        folder: of the results.
+        store: of the zarr store in it.
+        shard: the share that is held, or None.
     """
     if shard is not None and any(
         not name.endswith(f"-of-{shard[1]}")
@@ -69,9 +75,9 @@ def sweep(folder: Path, store: Path, shard: Shard | None) -> None:
 
 
 def draft(folder: Path) -> Path:
-    """A hidden name beside a folder, to build it under; drafts that dead writers left are removed.
+    """A hidden path beside a folder, at which it is built; drafts of killed writers are removed.
 
-    A draft whose writer lives is locked by it (`building`), and stays.
+    A living writer holds the lock of its draft (`building`), which is not removed.
     """
     for old in folder.parent.glob(f".{glob.escape(folder.name)}.{'[0-9a-f]' * 8}"):
         with contextlib.suppress(OSError), (old / _DRAFT).open("r+") as file:
@@ -82,7 +88,7 @@ def draft(folder: Path) -> Path:
 
 @contextmanager
 def building(draft: Path) -> Iterator[None]:
-    """Make a draft and keep others from removing it.
+    """Make a draft, and lock it so that no other process removes it.
 
     Raises:
         OSError: it cannot be made, or the file system cannot lock.
@@ -90,7 +96,7 @@ def building(draft: Path) -> Iterator[None]:
     draft.mkdir(parents=True)
     with (draft / ".lock").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        # Named when it is locked: nobody finds the lock of a living draft free.
+        # Renamed while locked: no process finds the lock of a living draft free.
         os.rename(file.name, draft / _DRAFT)
         yield
 

@@ -1,13 +1,14 @@
-"""An empty store: every array declared, one chunk a batch, a checksum on every chunk."""
+"""An empty store: every array is declared, with one chunk per batch and a checksum per chunk."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import zarr
 from zarr.codecs import Crc32cCodec
 
-from estbench.consistency.records import SIZES, SUMMARY, TRUTH, Field, fields
+from estbench.consistency.fields import Field
+from estbench.consistency.records import SIZES, SUMMARY, TRUTH, fields
 from estbench.experiment.setup import Setup
 from estbench.inference.innovations import readings
 from estbench.robots.layout import state_names
@@ -24,9 +25,9 @@ def declare(
 
     Args:
         root: an empty group.
-        setup: what is run.
+        setup: the experiment.
         keep: `summary`, `diagonal` or `full`.
-        batches: the runs of each batch, all but the last of one length.
+        batches: the runs of each batch; all but the last have the same length.
         dtype: of the traces, `float64` or `float32`; averages are always float64.
     """
     space, seen = setup.space, readings(setup.channel_spaces)
@@ -63,7 +64,7 @@ def declare(
         )  # fmt: skip
         labels[:] = np.array(values, dtype=object)
 
-    def group(path: str, table: dict[str, Field], kind: str | None = None) -> None:
+    def group(path: str, table: Mapping[str, Field], kind: str | None = None) -> None:
         for name, field in table.items():
             array = root.create_array(
                 f"{path}/{name}".strip("/"),
@@ -87,7 +88,7 @@ def declare(
 
 
 def provenance(scenario: Scenario) -> dict[str, Any]:
-    """Versions and seed as attributes: a function of the scenario and what is installed."""
+    """Attributes of a store: scenario, seed, installed versions, estimators."""
     return {
         "scenario": scenario.name,
         "seed": scenario.simulation.seed,

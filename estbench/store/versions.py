@@ -1,4 +1,4 @@
-"""Under which versions a store was written: begun, and gone on with."""
+"""Versions of the packages with which a store was begun and continued."""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -7,21 +7,21 @@ from typing import Any
 
 PACKAGES = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
 NUMERICAL = ("estbench", "mujoco", "numpy", "scipy")
-"""Those on which the numbers depend."""
+"""The packages on which the numbers depend."""
 
 
 def installed() -> dict[str, str]:
-    """What is installed here."""
+    """The installed versions."""
     return {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
 
 
 def known(attrs: Mapping[str, Any]) -> list[dict[str, str]]:
-    """The versions in a store's attributes: those it was begun with, then all it went on with."""
+    """The versions in a store's attributes: the first ones, then those of resumes."""
     return [dict(v) for v in (attrs.get("versions", {}), *attrs.get("continued", ()))]
 
 
 def mixed(versions: Sequence[Mapping[str, str]]) -> str | None:
-    """What to say of a store whose numbers are of several versions; None of any other.
+    """A warning about a store whose numbers are of several versions; None for any other.
 
     Args:
         versions: from `known`.

@@ -1,10 +1,10 @@
 """Results on disk: one zarr store that one `xarray.open_datatree` call opens.
 
-The template comes first; a batch of runs is one zarr chunk of every array, so that no two batches
-write the same file, and `done[run]` is set last. An unfinished store is readable (take the runs
-that are done) and can be gone on with. A chunk appears whole or not at all (it is renamed into its
-place), carries a checksum, and is written even where every value is the fill value: a batch that is
-marked done and lacks one, as after a power cut, is known to be damaged.
+All arrays are declared first. Each batch of runs is one zarr chunk of every array, so that no two
+batches write the same file, and `done[run]` is written last. An unfinished store is readable (take
+the runs that are done) and can be resumed. A chunk is written to a temporary file and renamed, has
+a checksum, and is written even if all its values are the fill value. A batch that is marked done
+and lacks a chunk, as after a power failure, is therefore recognized as damaged.
 """
 
 import contextlib
@@ -24,7 +24,8 @@ import numpy as np
 import xarray as xr
 import zarr
 
-from estbench.consistency.records import COST, SUMMARY, TRUTH, Field, Record, fields
+from estbench.consistency.fields import Field, Record
+from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError
 from estbench.experiment.setup import Setup
 from estbench.scenario.load import changes
@@ -41,14 +42,14 @@ def default_folder(name: str) -> Path:
 
 
 class Store:
-    """A results folder: `data.zarr`, the resolved `scenario.toml`, and what each batch cost.
+    """A results folder: `data.zarr`, the resolved `scenario.toml`, and the cost of each batch.
 
-    Made by `create`, or by `reopen` to go on with one.
+    Made by `create`, or by `reopen` to resume one.
 
     Attributes:
-        folder: where it is.
-        keep: what it keeps of every run.
-        dtype: of its traces.
+        folder: its path.
+        keep: what is stored of each run: `summary`, `diagonal` or `full`.
+        dtype: of the traces.
         batches: the runs of each batch.
     """
 
@@ -68,13 +69,13 @@ class Store:
     def create(
         cls, folder: Path, setup: Setup, keep: str, batch_size: int, dtype: str = "float64"
     ) -> "Store":
-        """Make the folder with an empty store, all or nothing.
+        """Make the folder with an empty store, completely or not at all.
 
         Args:
             folder: must not exist.
-            setup: what is run.
+            setup: the experiment.
             keep: `summary`, `diagonal` or `full`.
-            batch_size: runs of a batch, one chunk.
+            batch_size: runs per batch, one chunk.
             dtype: of the traces, `float64` or `float32`; averages are always float64.
 
         Raises:
@@ -87,7 +88,7 @@ class Store:
         count = setup.scenario.simulation.runs
         batches = [range(i, min(i + batch_size, count)) for i in range(0, count, batch_size)]
         made = [path for path in folder.parents if not path.exists()]
-        # Built beside its place and renamed: another process sees all of it or nothing.
+        # Built at a hidden path and renamed: other processes see the whole folder or none.
         draft = locks.draft(folder)
         try:
             with locks.building(draft):
@@ -109,10 +110,10 @@ class Store:
 
     @classmethod
     def reopen(cls, folder: Path, setup: Setup) -> "Store":
-        """Open a store to go on with it.
+        """Open a store to resume it.
 
         Raises:
-            StoreError: it is no store, or of another scenario: the key that differs is named.
+            StoreError: it is no store, or of another scenario; the key that differs is named.
         """
         if not (folder / STORE).is_dir() or not (folder / SCENARIO).is_file():
             raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
@@ -139,10 +140,10 @@ class Store:
         return cls(folder, str(keep), str(dtype), batches, _live(setup))
 
     def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
-        """Write one batch, and set its runs done last.
+        """Write one batch, and mark its runs as done last.
 
         Raises:
-            StoreError: the disk is full or the store is gone.
+            StoreError: the store was deleted, or the disk is full.
         """
         runs = slice(self.batches[batch].start, self.batches[batch].stop)
         try:
@@ -162,7 +163,7 @@ class Store:
             raise _unwritable(self.folder, error) from None
 
     def finished(self, batch: int) -> bool:
-        """Whether the batch's runs are all marked done (the mark itself may be corrupted)."""
+        """Whether all runs of the batch are marked as done; False where the mark is corrupted."""
         runs = slice(self.batches[batch].start, self.batches[batch].stop)
         try:
             return bool(np.asarray(self._array("done")[runs]).all())
@@ -202,7 +203,7 @@ class Store:
 
     @contextmanager
     def lock(self, shard: locks.Shard | None = None) -> Iterator[None]:
-        """Hold the store, alone or one share of it, without what killed writers left there.
+        """Lock the store, or one share of it, and remove what killed writers left.
 
         Raises:
             StoreError: another process holds it, or the file system cannot lock.
@@ -220,14 +221,14 @@ class Store:
             yield
 
     def sign(self, writing: bool) -> str | None:
-        """What to say of a store of several versions; None where all its numbers are of one.
+        """A warning if the store's numbers are of several versions, else None.
 
         Args:
-            writing: whether the versions installed here are about to write to it; they are then
-                kept in the attribute `continued`, if they are others than those already known.
+            writing: whether the installed versions are about to write. They are then added to the
+                attribute `continued`, unless they are known already.
 
         Raises:
-            StoreError: the store is gone, or the disk full.
+            StoreError: the store was deleted, or the disk is full.
         """
         try:
             with locks.briefly(self.folder):
@@ -241,10 +242,10 @@ class Store:
         return versions.mixed(found)
 
     def close(self) -> None:
-        """Consolidate the metadata, so that opening reads one file.
+        """Consolidate the metadata, so that the store opens by reading one file.
 
         Raises:
-            StoreError: the store is gone, or the disk full.
+            StoreError: the store was deleted, or the disk is full.
         """
         try:
             with locks.briefly(self.folder), warnings.catch_warnings():
@@ -254,7 +255,7 @@ class Store:
             raise _unwritable(self.folder, error) from None
 
     def discard(self) -> None:
-        """Remove the folder, and the parents made for it, if this object made it."""
+        """Remove the folder and the parents that were made for it, if this object made them."""
         if self._made is not None:
             _remove(self.folder, self._made)
 
@@ -262,14 +263,14 @@ class Store:
         return zarr.open_group(str(self.folder / STORE), mode=mode, zarr_format=3)
 
     def _array(self, path: str) -> Any:
-        """An array of the store; opening one reads its metadata, so it is kept."""
+        """An array of the store, cached: opening one reads its metadata."""
         if path not in self._arrays:
             with zarr.config.set({"array.write_empty_chunks": True}):
                 self._arrays[path] = self._root[path]
         return self._arrays[path]
 
     def _chunk(self, group: str, name: str, batch: int) -> Path:
-        """The file that holds a batch of an array; it is one chunk in every other dimension."""
+        """The file of one batch of an array; in every other dimension the array is one chunk."""
         others = ["0"] * (len(self._fields(group)[name].dims) - 1)
         return self.folder.joinpath(STORE, group, name, "c", str(batch), *others)
 
@@ -277,14 +278,14 @@ class Store:
         return TRUTH if group == "truth" else fields(self.keep, self._live)
 
     def _where(self, group: str, name: str, batch: int) -> slice:
-        """The rows of an array that a batch fills."""
+        """The rows of an array that belong to a batch."""
         dims = self._fields(group)[name].dims
         runs = self.batches[batch]
         return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
 
 
 def _live(setup: Setup) -> bool:
-    """Whether each estimator drives a truth of its own."""
+    """Whether the controller sees the estimate, so that each estimator has a truth of its own."""
     return setup.scenario.control.observe == "estimate"
 
 
@@ -292,11 +293,11 @@ def _remove(folder: Path, parents: Sequence[Path]) -> None:
     with contextlib.suppress(OSError):
         shutil.rmtree(folder)
         for parent in parents:
-            parent.rmdir()  # refused, and so kept, if something else lies in it
+            parent.rmdir()  # fails if it is not empty, and the folder stays
 
 
 def _stands(folder: Path) -> bool:
-    """Whether its store is there, and not only folders that a write under way made again."""
+    """Whether the store exists; a write under way may have made its folders again."""
     return (folder / STORE / "zarr.json").is_file()
 
 
@@ -319,7 +320,7 @@ def open_results(folder: str | Path) -> xr.DataTree:
     if not path.is_dir():
         raise StoreError(f"{folder} holds no {STORE}; name a folder that `estbench run` wrote")
     try:
-        with warnings.catch_warnings():  # a store that was never closed opens slowly: no matter
+        with warnings.catch_warnings():  # a store that was never closed opens, only slowly
             warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)
             return xr.open_datatree(path, engine="zarr", consolidated=None)
     except (OSError, ValueError, KeyError, json.JSONDecodeError) as error:

@@ -1,1 +1,1 @@
-"""Text for people: numbers with intervals, tables that fit, files to be written."""
+"""Numbers with intervals as text, tables, and the paths of files that are written."""

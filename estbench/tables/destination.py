@@ -1,4 +1,4 @@
-"""A file that is to be written: what is wrong with its path is said before the work, not after."""
+"""Check of the path of an output file, before the computation that fills it."""
 
 import os
 from pathlib import Path
@@ -7,13 +7,13 @@ from estbench.errors import StoreError
 
 
 def check_file(path: Path) -> None:
-    """Refuse a path at which no file can be written.
+    """Check that a file can be written at a path.
 
     Args:
-        path: of the file, which may be there already.
+        path: of the file, which may exist.
 
     Raises:
-        StoreError: its folder is not there, it is a folder itself, or writing is not allowed.
+        StoreError: its folder does not exist, it is a folder, or writing is not allowed.
     """
     if not path.parent.is_dir():
         wrong = f"there is no folder {path.parent}; make it, or choose another --out"

@@ -1,32 +1,32 @@
-"""A number and its interval as text: one way for every command, table and page."""
+"""A number and its interval as text, the same for every command, table and page."""
 
 import math
 
-from estbench.consistency.nees import Interval
+from estbench.consistency.intervals import Interval
 
 LARGE = 1e5
-"""Numbers from here on are shown by their power of ten."""
+"""Numbers of at least this size are written with a power of ten."""
 DECIMALS = 6
-"""With more decimals than these the power of ten is shorter."""
+"""Numbers that need more decimals are written with a power of ten."""
 LOPSIDED = 1.5
-"""An interval is shown by its ends from where one side is so many times the other."""
+"""An interval is written with its ends where one side is more than this times the other."""
 ROUNDING = 1e-12
-"""An interval narrower than this part of its value is of the arithmetic's making."""
+"""An interval narrower than this part of its value is a rounding error."""
 
 
 def quantity(i: Interval) -> str:
     """`1.020 ± 0.031`, or with its ends, `12 [3.1, 120]`, where the interval is lopsided.
 
-    Two digits of the half-width (high - low)/2 are shown, and the value to the same place. Where
-    one side is more than `LOPSIDED` times the other ± would mislead (12 ± 58 holds 1, and the
-    interval does not), so the ends stand there, to that place, none with fewer than two digits of
-    its own.
+    The half-width (high - low)/2 has two digits, and the value ends at the same decimal place.
+    Where one side is more than `LOPSIDED` times the other, ± would mislead (12 ± 58 contains 1, and
+    the interval does not). The two ends are then written to the same place, with at least two
+    digits each.
 
-    A value alone (no interval: one run) has three digits, or those before the point; one whose
-    interval has no width is followed by `± 0`; a missing one is `–`. What is infinite is `∞`.
+    A value without an interval (one run) has three digits, or all digits before the point. One
+    whose interval has no width is followed by `± 0`. NaN is `–`, infinity `∞`.
 
     Args:
-        i: the value and its interval, in the unit that is shown elsewhere.
+        i: the value and its interval.
     """
     if not math.isfinite(i.value):
         return "–" if math.isnan(i.value) else "∞" if i.value > 0 else "-∞"
@@ -49,7 +49,7 @@ def quantity(i: Interval) -> str:
 
 
 def _place(x: float) -> int:
-    """Decimals that show two digits of x; negative where its last two are no decimals."""
+    """Decimals that show two digits of x; negative where both are before the point."""
     return 1 - math.floor(math.log10(abs(x))) if x else 0
 
 
@@ -58,12 +58,12 @@ def _fixed(x: float, decimals: int) -> str:
 
 
 def _power(x: float, decimals: int, least: int = 1) -> str:
-    """Down to the same place as that many decimals, with at least so many after the point."""
+    """With a power of ten, to the place of `decimals`, at least `least` digits after the point."""
     return f"{x:.{max(decimals + 1 - _place(x), least)}e}" if x else "0"
 
 
 def _end(x: float, decimals: int) -> str:
-    """A number that stands by itself: by its own size, with two digits at least."""
+    """One end of an interval, to the place of `decimals`, with at least two digits."""
     if not math.isfinite(x):
         return "∞" if x > 0 else "-∞"
     decimals = max(decimals, _place(x))
@@ -72,7 +72,37 @@ def _end(x: float, decimals: int) -> str:
 
 
 def _alone(x: float, digits: int) -> str:
-    """To so many digits, but with all before the point."""
+    """To `digits` digits, or all before the point if they are more."""
     if abs(x) >= LARGE:
         return f"{x:.{digits - 1}e}"
     return f"{x:z.{max(digits, len(f'{abs(x):.0f}'))}g}"
+
+
+def bounds(i: Interval, decimals: int = 3) -> str:
+    """`1.021 [1.013, 1.030]`: always with the ends of the interval."""
+    if math.isnan(i.value):
+        return "–"
+    low, high = (f"{x:.{decimals}f}" if abs(x) < 1e4 else f"{x:.2g}" for x in (i.low, i.high))
+    return f"{number(i.value, decimals)} [{low}, {high}]".replace("inf", "∞")
+
+
+def percent(i: Interval, decimals: int = 1) -> str:
+    """A share in percent with its interval: `2.0% [0.8, 5.0]`."""
+    if math.isnan(i.value):
+        return "–"
+    value, low, high = (f"{100 * x:.{decimals}f}" for x in (i.value, i.low, i.high))
+    return f"{value}% [{low}, {high}]"
+
+
+def number(x: float, decimals: int | None = None) -> str:
+    """A number to `decimals`, or to three digits; `–` for NaN, `∞` for infinity."""
+    if not math.isfinite(x):
+        return "–" if math.isnan(x) else "∞" if x > 0 else "-∞"
+    if decimals is None and 999.5 <= abs(x) < 1e6:
+        return f"{x:.0f}"
+    return f"{x:.3g}" if decimals is None or abs(x) >= 1e4 else f"{x:.{decimals}f}"
+
+
+def probability(p: float) -> str:
+    """A p-value: `0.012`, or `<0.001`; `–` for NaN."""
+    return "–" if math.isnan(p) else "<0.001" if p < 0.001 else f"{p:.3f}"

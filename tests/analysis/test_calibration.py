@@ -4,7 +4,7 @@ from scipy import stats
 
 from estbench.analysis import calibration
 from estbench.analysis.calibration import averages, calibrate, oscillator, vehicle
-from estbench.consistency.nees import mean_interval
+from estbench.consistency.intervals import mean_interval
 from estbench.estimators.ekf import EKF
 from estbench.estimators.kf import KF
 

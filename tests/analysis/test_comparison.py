@@ -7,13 +7,12 @@ from scipy import stats
 
 from estbench.analysis.comparison import (
     compare,
-    exponential,
     fewest_runs,
     holm,
     paired,
     score,
 )
-from estbench.consistency.nees import Interval
+from estbench.consistency.intervals import Interval
 
 INF = np.inf
 
@@ -215,5 +214,5 @@ def test_fewest_runs_is_where_the_clearest_difference_shows(estimators):
 
 
 def test_exponential():
-    i = exponential(Interval(0.0, -INF, np.log(2)))
+    i = Interval(0.0, -INF, np.log(2)).exponential()
     assert (i.value, i.low, i.high) == pytest.approx((1.0, 0.0, 2.0))

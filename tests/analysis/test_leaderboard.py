@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench.analysis import leaderboard
+from estbench.analysis import board, leaderboard
 from estbench.errors import AnalysisError, EstbenchError, StoreError
 from estbench.estimators import registry
 from estbench.scenario.load import bundled
@@ -35,7 +35,7 @@ def test_the_runs_are_those_of_estbench_run(boards):
 
 
 def test_markdown_says_how_it_was_made(boards):
-    text = leaderboard.markdown(boards)
+    text = board.markdown(boards)
     assert "estbench reproduce --runs 16" in text
     assert f"estbench {estbench.__version__}" in text
     assert "## pendulum: 16 runs x 0.5 s (50 steps), seed 0" in text
@@ -50,7 +50,7 @@ def test_markdown_says_how_it_was_made(boards):
 
 
 def test_csv_has_units_and_seeds(boards):
-    rows = list(csv.DictReader(io.StringIO(leaderboard.to_csv(boards))))
+    rows = list(csv.DictReader(io.StringIO(board.to_csv(boards))))
     assert [(r["scenario"], r["estimator"]) for r in rows if r["estimator"] == "ekf"] == [
         ("pendulum", "ekf"),
         ("quadrotor", "ekf"),
@@ -93,9 +93,9 @@ def test_mistakes(tmp_path):
     with pytest.raises(AnalysisError, match="quadrotor: no estimator suits"):
         leaderboard.play("quadrotor", 2, ["ghkf"])
     (tmp_path / "file").write_text("")
-    board = leaderboard.play("pendulum", 2, ["kf"], workers=1, duration=0.05)
+    one = leaderboard.play("pendulum", 2, ["kf"], workers=1, duration=0.05)
     with pytest.raises(StoreError, match="cannot be written"):
-        leaderboard.write([board], tmp_path / "file")
+        leaderboard.write([one], tmp_path / "file")
 
 
 def test_an_interruption_writes_nothing(tmp_path, monkeypatch):
@@ -106,7 +106,7 @@ def test_an_interruption_writes_nothing(tmp_path, monkeypatch):
 
         return replace(results, interrupted=True)
 
-    monkeypatch.setattr(leaderboard.experiment, "run", interrupted)
+    monkeypatch.setattr(leaderboard, "run", interrupted)
     with pytest.raises(KeyboardInterrupt):
         leaderboard.reproduce(tmp_path / "out", 2, ["pendulum"], ["kf"])
     assert not (tmp_path / "out").exists()

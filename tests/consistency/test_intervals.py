@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from estbench.consistency import intervals
-from estbench.consistency.nees import positive_mean_interval
+from estbench.consistency.intervals import positive_mean_interval
 
 # Bands of a count of `k` hits in `n` are taken at p = 1e-6: one false alarm in a million runs of a
 # test with another seed; the seeds are fixed.

@@ -5,14 +5,8 @@ import pytest
 from scipy import stats
 
 from estbench.consistency import nees as consistency
-from estbench.consistency.nees import (
-    Interval,
-    Verdict,
-    chi_square_band,
-    diverged_runs,
-    judge,
-    mean_interval,
-)
+from estbench.consistency.intervals import Interval, mean_interval
+from estbench.consistency.nees import Verdict, chi_square_band, diverged_runs, judge
 
 # Chi-square bands
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from estbench.analysis.findings import accuracies
 from estbench.consistency import records
 from estbench.consistency import summary as statistics
 from estbench.consistency.nees import Verdict
@@ -249,3 +250,31 @@ def test_nothing_but_failures():
 
 def test_one_run_decides_nothing():
     assert summarize(reduce(traces(runs=1))).verdict is Verdict.UNDECIDED
+
+
+def test_a_diverged_run_counts_in_no_mean_though_it_did_not_fail():
+    whole = traces(runs=7)
+    whole.error[:, 4] *= 1e3
+    whole.std[:, 4] *= 1e3
+    whole.nees[:, 4] = 99.0  # above 10 n, and finite: the run diverges without a failure
+    whole.nis[:, 4] *= 1e3
+    whole.lags[4, 1] *= 1e3
+    record = reduce(whole)
+    np.testing.assert_array_equal(np.flatnonzero(record["diverged"]), [4])
+    assert np.isfinite(record["mse"]).all()
+    found, others = summarize(record), summarize(reduce(part(whole, [0, 1, 2, 3, 5, 6])))
+    assert others.diverged == 0
+    assert found.rmse == others.rmse
+    assert (found.anees, found.anis, found.lag_one) == (others.anees, others.anis, others.lag_one)
+    np.testing.assert_array_equal(found.std, others.std)
+    # Medians and the share are over all runs.
+    assert found.rmse_median[0] > others.rmse_median[0]
+    assert found.anees_median > others.anees_median
+    assert found.diverged == pytest.approx(1 / 7)
+    by_unit, without = (
+        accuracies(reduce(t), ("a", "b"), ("m", "m"), 0.95, 0.02)[0]
+        for t in (whole, part(whole, [0, 1, 2, 3, 5, 6]))
+    )
+    assert (by_unit.mean, by_unit.sigma) == (without.mean, without.sigma)
+    assert (by_unit.needed, by_unit.coverage) == (without.needed, without.coverage)
+    assert by_unit.median.value > without.median.value

@@ -8,7 +8,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from estbench.commands.cli import app
-from estbench.consistency.nees import mean_interval
+from estbench.consistency.intervals import mean_interval
 from estbench.envs.control import Comparison, Outcome, compare
 from estbench.envs.control_table import render
 from estbench.envs.errors import EnvError

@@ -14,6 +14,7 @@ from estbench.experiment import setup
 from estbench.inference.innovations import Innovations, readings
 from estbench.inference.run_subset import ALL
 from estbench.montecarlo import run as experiment
+from estbench.montecarlo.batch import run_batch
 from estbench.spaces.manifold import Manifold
 
 LATE = ["channels.pole_encoder.latency=0.02", "channels.cart_encoder.dropout=0.3"]
@@ -63,9 +64,9 @@ def test_keeping_everything_changes_no_number(label, overrides, monkeypatch):
     prepared = setup.build(
         experiment.resolve("pendulum", [label], duration=0.15, overrides=overrides)
     )
-    plain = experiment.run_batch(prepared, range(16), "diagonal")
+    plain = run_batch(prepared, range(16), "diagonal")
     before = rows.copy()
-    full = experiment.run_batch(prepared, range(16), "full")
+    full = run_batch(prepared, range(16), "full")
     assert rows == 2 * before
     assert (label == "ekf" and bool(overrides)) == any(0 < n < 16 for n in rows)
     for name, value in plain.records[label].items():

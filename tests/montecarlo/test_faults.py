@@ -18,9 +18,9 @@ import zarr
 import estbench
 from estbench.errors import ExecutorError, StoreError
 from estbench.estimators.ekf import EKF
-from estbench.montecarlo import dask as cluster
-from estbench.montecarlo import dispatch, executors
-from estbench.store import zarr as store
+from estbench.montecarlo import dask, dispatch, executors
+from estbench.montecarlo.pool import execute
+from estbench.store.zarr import SCENARIO, STORE, Store
 from tests.stores import run, same
 
 
@@ -40,17 +40,17 @@ def whole(tmp_path_factory):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from estbench.montecarlo import run as experiment
-from estbench.store import zarr as store
+import estbench
+from estbench.store.zarr import Store
 
 def die(*arguments):
     os.kill(os.getpid(), signal.SIGKILL)
 
 moment, out = sys.argv[1:]
 if moment == "before the first batch":
-    store.Store.write = die
+    Store.write = die
 elif moment == "before consolidation":
-    store.Store.close = die
+    Store.close = die
 else:  # a chunk of the third batch is written beside its place and not yet in it
     replace, seen = Path.replace, []
     def late(self, target):
@@ -59,7 +59,7 @@ else:  # a chunk of the third batch is written beside its place and not yet in i
             die()
         return replace(self, target)
     Path.replace = late
-experiment.run("pendulum", ["ekf"], runs=40, duration=0.3, batch_size=5, workers=1, out=out)
+estbench.run("pendulum", ["ekf"], runs=40, duration=0.3, batch_size=5, workers=1, out=out)
 """
 MOMENTS = {"before the first batch": 0, "within a chunk": 10, "before consolidation": 40}
 
@@ -98,7 +98,7 @@ def test_processes_do_not_outlive_a_parent_that_was_killed(tmp_path):
     ]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
-    first = tmp_path / "x" / store.STORE / "done" / "c" / "0"
+    first = tmp_path / "x" / STORE / "done" / "c" / "0"
     while not first.exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     workers = children(process.pid)
@@ -130,16 +130,16 @@ def test_two_shards_in_two_processes_fill_one_store(whole, tmp_path):
 
 def test_a_shard_that_fails_leaves_what_the_others_wrote(whole, tmp_path, monkeypatch):
     run(tmp_path / "x", shard=(1, 2))
-    shutil.rmtree(tmp_path / "x" / store.STORE / "done" / "c")  # as if it had only begun
+    shutil.rmtree(tmp_path / "x" / STORE / "done" / "c")  # as if it had only begun
 
     def fail(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(store.json, "dumps", fail)
+    monkeypatch.setattr("estbench.store.zarr.json.dumps", fail)
     with pytest.raises(StoreError, match="No space left"):
         run(tmp_path / "x", shard=(2, 2))
     monkeypatch.undo()
-    assert (tmp_path / "x" / store.SCENARIO).exists()
+    assert (tmp_path / "x" / SCENARIO).exists()
     run(tmp_path / "x", resume=True)
     same(tmp_path / "x", whole.folder)
 
@@ -169,8 +169,8 @@ def test_a_disk_that_fills_up_keeps_the_finished_runs(whole, tmp_path, monkeypat
 
 @pytest.mark.parametrize("what", ["store", "folder", "store, while a chunk is written"])
 def test_a_store_deleted_while_running_is_said_once(tmp_path, monkeypatch, what):
-    zarr_folder = tmp_path / "x" / store.STORE
-    write = store.Store.write
+    zarr_folder = tmp_path / "x" / STORE
+    write = Store.write
 
     def delete(self, *arguments):
         write(self, *arguments)
@@ -178,7 +178,7 @@ def test_a_store_deleted_while_running_is_said_once(tmp_path, monkeypatch, what)
         if "chunk" in what:  # zarr makes the folders of what it writes
             (zarr_folder / "ekf" / "error" / "c").mkdir(parents=True)
 
-    monkeypatch.setattr(store.Store, "write", delete)
+    monkeypatch.setattr(Store, "write", delete)
     with pytest.raises(StoreError, match=r"x cannot be written: .*of 40 runs") as caught:
         run(tmp_path / "x", workers=1)
     assert "\n" not in str(caught.value)
@@ -191,7 +191,7 @@ def test_a_store_deleted_while_running_is_said_once(tmp_path, monkeypatch, what)
 def test_a_chunk_that_is_missing_is_computed_again_and_said(whole, tmp_path, name):
     # A power cut may lose a file that was written before the mark that says so.
     run(tmp_path / "x")
-    (tmp_path / "x" / store.STORE / name).unlink()
+    (tmp_path / "x" / STORE / name).unlink()
     results = run(tmp_path / "x", resume=True)
     assert any("batch 3 of the store was corrupted" in n for n in results.notices)
     same(tmp_path / "x", whole.folder)
@@ -239,7 +239,7 @@ def starve(x):
 
 
 def test_where_nothing_fits_it_ends_soon():
-    outcomes = list(executors.execute(starve, range(2), executors.pool("threads", 2)))
+    outcomes = list(execute(starve, range(2), executors.pool("threads", 2)))
     assert {o.task for o in outcomes} == {0, 1}  # type: ignore[union-attr]
     assert all("no memory" in str(o.error) for o in outcomes)  # type: ignore[union-attr]
 
@@ -260,7 +260,7 @@ def test_workers_are_as_many_as_the_memory_holds():
 
 def test_a_scheduler_that_does_not_answer_is_named_in_time(monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    monkeypatch.setattr(cluster, "TIMEOUT", 1.0)
+    monkeypatch.setattr(dask, "TIMEOUT", 1.0)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -273,7 +273,7 @@ def test_a_scheduler_that_does_not_answer_is_named_in_time(monkeypatch):
 
 def test_a_scheduler_without_workers_is_no_hang(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    monkeypatch.setattr(cluster, "TIMEOUT", 1.0)
+    monkeypatch.setattr(dask, "TIMEOUT", 1.0)
     with (
         distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as local,
         pytest.raises(ExecutorError, match="no dask worker is known to the scheduler"),

@@ -13,10 +13,9 @@ import pytest
 import estbench
 from estbench.errors import ExecutorError, StoreError
 from estbench.experiment import setup
-from estbench.montecarlo import dask as cluster
-from estbench.montecarlo import executors
-from estbench.montecarlo import run as experiment
-from estbench.store import zarr as store
+from estbench.montecarlo import dask, executors
+from estbench.montecarlo.pool import Failed, execute
+from estbench.store.zarr import STORE, Store
 from tests.stores import run, same
 
 
@@ -54,14 +53,14 @@ def test_kill_9_and_resume_gives_the_uninterrupted_store(tmp_path):
     assert done > 0
     computed = []
     options = {"estimators": ["ekf"], "runs": 400, "duration": 2.0}
-    results = experiment.run(
+    results = estbench.run(
         "pendulum", **options, out=tmp_path / "x", resume=True,
         progress=lambda n, total: computed.append((n, total)),
     )  # fmt: skip
     assert len(results.runs) == 400
     if done < 400:
         assert computed[-1] == (400 - done, 400 - done)
-    experiment.run("pendulum", **options, out=tmp_path / "y")
+    estbench.run("pendulum", **options, out=tmp_path / "y")
     same(tmp_path / "x", tmp_path / "y")
 
 
@@ -95,7 +94,7 @@ def test_a_store_of_another_scenario_is_refused(whole, options):
 )
 def test_a_corrupted_chunk_is_computed_again_and_said(whole, tmp_path, name):
     run(tmp_path / "x")
-    chunk = tmp_path / "x" / store.STORE / name
+    chunk = tmp_path / "x" / STORE / name
     content = bytearray(chunk.read_bytes())
     content[1] ^= 0xFF
     chunk.write_bytes(content)
@@ -111,7 +110,7 @@ def test_a_store_deleted_while_running_is_said(tmp_path):
     def delete(done, total):
         import shutil
 
-        shutil.rmtree(tmp_path / "x" / store.STORE, ignore_errors=True)
+        shutil.rmtree(tmp_path / "x" / STORE, ignore_errors=True)
 
     with pytest.raises(StoreError, match="cannot be written") as caught:
         run(tmp_path / "x", progress=delete, workers=1)
@@ -129,7 +128,7 @@ def test_two_shards_in_two_threads_fill_one_store(whole, tmp_path):
 def test_two_processes_cannot_write_one_store(whole):
     prepared = setup.build(whole.scenario)
     with (
-        store.Store.reopen(whole.folder, prepared).lock(),
+        Store.reopen(whole.folder, prepared).lock(),
         pytest.raises(StoreError, match="another process is writing"),
     ):
         run(whole.folder, resume=True)
@@ -166,17 +165,17 @@ def die_once(marker):
 
 
 def test_a_task_that_kills_its_worker_is_found_out_and_the_rest_completes():
-    outcomes = list(executors.execute(die_on_three, range(6), executors.pool("processes", 2)))
-    failed = [o for o in outcomes if isinstance(o, executors.Failed)]
+    outcomes = list(execute(die_on_three, range(6), executors.pool("processes", 2)))
+    failed = [o for o in outcomes if isinstance(o, Failed)]
     assert [f.task for f in failed] == [3]
     assert "the worker died 3 times" in str(failed[0].error)
-    good = dict(o for o in outcomes if not isinstance(o, executors.Failed))
+    good = dict(o for o in outcomes if not isinstance(o, Failed))
     assert good == {i: 2 * i for i in (0, 1, 2, 4, 5)}
 
 
 def test_a_worker_that_dies_once_is_replaced(tmp_path):
     tasks = [str(tmp_path / name) for name in ("a", "once", "b")]
-    outcomes = dict(executors.execute(die_once, tasks, executors.pool("processes", 2)))
+    outcomes = dict(execute(die_once, tasks, executors.pool("processes", 2)))
     assert sorted(outcomes.values()) == ["a", "b", "once"]
 
 
@@ -186,8 +185,8 @@ def test_a_task_that_raises_does_not_stop_the_others():
             raise ValueError("two")
         return x
 
-    outcomes = list(executors.execute(fail_on_two, range(4), executors.pool("threads", 2)))
-    failed = [o for o in outcomes if isinstance(o, executors.Failed)]
+    outcomes = list(execute(fail_on_two, range(4), executors.pool("threads", 2)))
+    failed = [o for o in outcomes if isinstance(o, Failed)]
     assert [(f.task, str(f.error)) for f in failed] == [(2, "two")]
     assert len(outcomes) == 4
 
@@ -214,8 +213,8 @@ def test_options_that_would_have_no_effect_are_refused(options, message):
 
 def test_an_unreachable_scheduler_is_named_in_time(monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    assert cluster.TIMEOUT <= 10.0  # importing the library takes its time too
-    monkeypatch.setattr(cluster, "TIMEOUT", 1.0)
+    assert dask.TIMEOUT <= 10.0  # importing the library takes its time too
+    monkeypatch.setattr(dask, "TIMEOUT", 1.0)
     began = time.monotonic()
     with pytest.raises(ExecutorError, match=r"tcp://127\.0\.0\.1:9"):
         executors.pool("dask", 1, "tcp://127.0.0.1:9")

@@ -9,8 +9,8 @@ from estbench.errors import ControllerError, EstbenchError, EstimatorError, Scen
 from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
 from estbench.montecarlo import batch as batches
-from estbench.montecarlo import run as experiment
-from estbench.montecarlo import worker
+from estbench.montecarlo import executors, worker
+from estbench.scenario.load import resolve
 from tests.inference.test_event_loop import Plain
 
 # Wall-clock time is the one thing that may differ.
@@ -273,18 +273,18 @@ def test_progress_counts_to_the_end():
 
 
 def test_arguments_replace_the_scenarios():
-    resolved = experiment.resolve("cartpole", ["ukf"], 7, 8, 0.5, ["simulation.runs=9"])
+    resolved = resolve("cartpole", ["ukf"], 7, 8, 0.5, ["simulation.runs=9"])
     assert (resolved.simulation.runs, resolved.simulation.seed) == (9, 8)  # --set wins
     assert resolved.simulation.duration == 0.5
     assert resolved.estimators == {"ukf": {}}
-    assert experiment.resolve(resolved, runs=3).simulation.runs == 3
+    assert resolve(resolved, runs=3).simulation.runs == 3
 
 
 def test_an_estimator_keeps_the_settings_of_its_label():
     overrides = ["estimators={tight={type='ukf', alpha=0.5}, ekf={}}"]
-    resolved = experiment.resolve("cartpole", ["tight"], overrides=overrides)
+    resolved = resolve("cartpole", ["tight"], overrides=overrides)
     assert resolved.estimators == {"tight": {"type": "ukf", "alpha": 0.5}}
-    user = experiment.resolve("cartpole", [f"{__name__}:Frozen"])
+    user = resolve("cartpole", [f"{__name__}:Frozen"])
     assert user.estimators == {"Frozen": {"type": f"{__name__}:Frozen"}}
 
 
@@ -319,7 +319,7 @@ def test_bad_estimators(estimators, error, message):
 )
 def test_scenarios_that_do_not_fit(override, message):
     with pytest.raises(EstbenchError, match=message):
-        experiment.run("cartpole", duration=0.3, overrides=[override])
+        estbench.run("cartpole", duration=0.3, overrides=[override])
 
 
 @pytest.mark.parametrize("timestep", [0, -0.01])
@@ -334,16 +334,14 @@ def test_an_mjcf_without_a_timestep(timestep, tmp_path):
 
 def test_default_batches_do_not_depend_on_the_machine(monkeypatch):
     def size(keep="summary", **options):
-        return experiment.default_batch_size(
-            setup.build(experiment.resolve("cartpole", **options)), keep
-        )
+        return batches.default_batch_size(setup.build(resolve("cartpole", **options)), keep)
 
     assert size(runs=10_000) == 250
     assert size(runs=200) == 50
     assert size(runs=8) == 10
     assert size("full", runs=10_000, duration=500.0) < size(runs=10_000, duration=500.0) < 250
     before = size(runs=500)
-    monkeypatch.setattr(experiment.executors, "cpu_count", lambda: 64)
+    monkeypatch.setattr(executors, "cpu_count", lambda: 64)
     assert size(runs=500) == before
 
 
@@ -351,7 +349,7 @@ def test_default_batches_do_not_depend_on_the_machine(monkeypatch):
 
 
 def test_traces_are_kept_while_they_are_small(tmp_path, monkeypatch):
-    prepared = setup.build(experiment.resolve("cartpole", ["ekf", "ukf"], runs=24, duration=0.3))
+    prepared = setup.build(resolve("cartpole", ["ekf", "ukf"], runs=24, duration=0.3))
     assert batches.default_keep(prepared) == "diagonal"
     run(out=tmp_path / "small", estimators=["ekf", "ukf"])
     with estbench.open_results(tmp_path / "small") as tree:

@@ -13,7 +13,8 @@ pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
 from estbench.consistency.coverage import SIGMAS
-from estbench.consistency.nees import chi_square_band, positive_mean_interval
+from estbench.consistency.intervals import positive_mean_interval
+from estbench.consistency.nees import chi_square_band
 from estbench.consistency.records import SUMMARY
 from estbench.consistency.summary import summarize
 from estbench.report import pairs, sources

@@ -8,7 +8,7 @@ from scipy import stats
 
 from estbench.analysis.compare import compare_stores
 from estbench.analysis.comparison import holm
-from estbench.consistency.nees import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval
 from estbench.report import pairs, tables
 
 

@@ -9,7 +9,7 @@ import pytest
 from estbench.errors import StoreError
 from estbench.experiment import setup
 from estbench.store import locks
-from estbench.store import zarr as store
+from estbench.store.zarr import STORE, Store
 from tests.stores import run, same
 
 PARTIAL = "0123456789abcdef.partial"
@@ -23,10 +23,10 @@ def litter(folder):
     """Unfinished files of every batch and of the metadata; a function that lists what is left."""
     names = {METADATA, *FIRST, *SECOND}
     for name in names:
-        path = folder / store.STORE / name
+        path = folder / STORE / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"half a chu")
-    return lambda: {name for name in names if (folder / store.STORE / name).exists()}
+    return lambda: {name for name in names if (folder / STORE / name).exists()}
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_share_owns_those_of_its_own_batches(whole, tmp_path):
     folder = tmp_path / "x"
     run(folder, shard=(1, 2))
     left = litter(folder)
-    with store.Store.reopen(folder, setup.build(whole.scenario)).lock((1, 2)):
+    with Store.reopen(folder, setup.build(whole.scenario)).lock((1, 2)):
         assert left() == {METADATA, *SECOND}
         left = litter(folder)  # as if the first share, which lives, were writing them
         run(folder, shard=(2, 2))
@@ -60,7 +60,7 @@ def test_shares_of_another_split_remove_nothing(whole, tmp_path):
     folder = tmp_path / "x"
     run(folder, shard=(1, 2))
     left = litter(folder)
-    with store.Store.reopen(folder, setup.build(whole.scenario)).lock((3, 4)):
+    with Store.reopen(folder, setup.build(whole.scenario)).lock((3, 4)):
         assert left() == {METADATA, *FIRST, *SECOND}
 
 
@@ -123,9 +123,9 @@ def test_the_drafts_of_dead_writers_are_removed_and_no_others(tmp_path):
 
 def test_a_folder_name_that_looks_like_a_batch(tmp_path):
     folder = tmp_path / "c" / "1"
-    (folder / store.STORE / "done" / "c").mkdir(parents=True)
-    theirs = folder / store.STORE / "done" / "c" / f"0.{PARTIAL}"
+    (folder / STORE / "done" / "c").mkdir(parents=True)
+    theirs = folder / STORE / "done" / "c" / f"0.{PARTIAL}"
     theirs.touch()
     with locks.held(folder, (2, 2)):
-        locks.sweep(folder, folder / store.STORE, (2, 2))
+        locks.sweep(folder, folder / STORE, (2, 2))
     assert theirs.exists()

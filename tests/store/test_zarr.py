@@ -12,9 +12,9 @@ import estbench
 from estbench.consistency import records
 from estbench.errors import StoreError
 from estbench.experiment import setup
-from estbench.montecarlo import run as experiment
-from estbench.scenario.load import load
-from estbench.store import zarr as store
+from estbench.montecarlo.batch import run_batch
+from estbench.scenario.load import load, resolve
+from estbench.store.zarr import STORE, Store, default_folder
 
 KEEP = ("summary", "diagonal", "full")
 
@@ -33,8 +33,8 @@ def written(tmp_path_factory):
 
 
 def fresh(folder, keep="diagonal"):
-    prepared = setup.build(experiment.resolve("cartpole", ["ekf"], runs=3, duration=0.1))
-    return prepared, store.Store.create(folder, prepared, keep, 2)
+    prepared = setup.build(resolve("cartpole", ["ekf"], runs=3, duration=0.1))
+    return prepared, Store.create(folder, prepared, keep, 2)
 
 
 # What is in it
@@ -94,7 +94,7 @@ def test_a_store_whose_state_has_no_names_opens_and_is_gone_on_with(written, tmp
     options = {"runs": 10, "duration": 0.2, "seed": 5, "batch_size": 4, "keep": "diagonal"}
     folder = tmp_path / "before"
     shutil.copytree(written["diagonal"].folder, folder)
-    path = folder / store.STORE
+    path = folder / STORE
     shutil.rmtree(path / "state")
     group = zarr.open_group(str(path), use_consolidated=False)
     group["done"][4:8] = False
@@ -110,11 +110,18 @@ def test_a_store_whose_state_has_no_names_opens_and_is_gone_on_with(written, tmp
 
 
 def test_every_variable_is_in_the_documentation(written):
-    page = Path(__file__).parents[2] / "docs" / "batches.md"
+    docs = Path(__file__).parents[2] / "docs"
     rows = re.findall(
         r"^\| `(summary|diagonal|full)` \| `(\w+)` \| ([\w, ]+) \| \S.*? \| \S.* \|$",
-        page.read_text(encoding="utf-8"), re.MULTILINE,
+        (docs / "batches.md").read_text(encoding="utf-8"), re.MULTILINE,
     )  # fmt: skip
+    rows += [
+        ("summary", name, dims)
+        for name, dims in re.findall(
+            r"^\| .* \| `(\w+)` \(([\w, ]+)\): \S.* \|$",
+            (docs / "statistics.md").read_text(encoding="utf-8"), re.MULTILINE,
+        )
+    ]  # fmt: skip
     for keep in KEEP:
         with estbench.open_results(written[keep].folder) as tree:
             found = {str(k): ", ".join(map(str, v.dims)) for k, v in tree["ekf"].data_vars.items()}
@@ -126,7 +133,7 @@ def test_every_variable_is_in_the_documentation(written):
 
 
 def test_a_finished_store_opens_by_one_file(written):
-    group = zarr.open_consolidated(str(written["full"].folder / store.STORE))
+    group = zarr.open_consolidated(str(written["full"].folder / STORE))
     assert "error" in group["ekf"]
 
 
@@ -165,7 +172,7 @@ def test_the_saved_scenario_is_the_resolved_one(written):
 
 
 def test_no_chunk_spans_two_batches(written):
-    group = zarr.open_group(str(written["full"].folder / store.STORE), mode="r")
+    group = zarr.open_group(str(written["full"].folder / STORE), mode="r")
     for name, field in records.fields("full").items():
         chunks = dict(zip(field.dims, group[f"ekf/{name}"].chunks))
         assert chunks.get("batch", 1) == 1
@@ -177,7 +184,7 @@ def test_no_chunk_spans_two_batches(written):
 
 def test_an_unfinished_store_is_readable(tmp_path):
     prepared, target = fresh(tmp_path / "x")
-    batch = experiment.run_batch(prepared, [0, 1], "diagonal")
+    batch = run_batch(prepared, [0, 1], "diagonal")
     target.write(0, batch.truth, batch.records)
     with estbench.open_results(tmp_path / "x") as tree:  # nobody closed it: think of kill -9
         np.testing.assert_array_equal(tree["done"], [True, True, False])
@@ -188,7 +195,7 @@ def test_an_unfinished_store_is_readable(tmp_path):
 
 def test_done_is_set_last(tmp_path):
     prepared, target = fresh(tmp_path / "x")
-    batch = experiment.run_batch(prepared, [0, 1], "diagonal")
+    batch = run_batch(prepared, [0, 1], "diagonal")
     batch.records["ekf"]["no such array"] = np.zeros(2)
     with pytest.raises(KeyError):
         target.write(0, batch.truth, batch.records)
@@ -209,14 +216,14 @@ def test_a_folder_that_exists_is_not_touched(tmp_path):
 
 def test_a_folder_that_appears_in_between_is_not_touched(tmp_path, monkeypatch):
     folder = tmp_path / "x"
-    rename = store.Path.rename
+    rename = Path.rename
 
     def late(self, target):
         target.mkdir()
         (target / "theirs.txt").write_text("")
         return rename(self, target)
 
-    monkeypatch.setattr(store.Path, "rename", late)
+    monkeypatch.setattr(Path, "rename", late)
     with pytest.raises(StoreError, match="x exists"):
         fresh(folder)
     assert (folder / "theirs.txt").exists()
@@ -235,7 +242,7 @@ def test_a_template_that_cannot_be_finished_is_removed(error, tmp_path, monkeypa
     def fail(*arguments):
         raise error
 
-    monkeypatch.setattr(store, "declare", fail)
+    monkeypatch.setattr("estbench.store.zarr.declare", fail)
     expected = StoreError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected):
         fresh(tmp_path / "new" / "x")
@@ -266,7 +273,7 @@ def test_discard_removes_the_parents_it_made_and_no_others(tmp_path):
 
 @pytest.mark.parametrize("name", ["robot", "../../robot", "/etc/robot"])
 def test_the_default_folder_lies_in_results(name):
-    folder = store.default_folder(name)
+    folder = default_folder(name)
     assert folder.parent.name == "results"
     assert "robot-20" in folder.name
 
@@ -281,9 +288,9 @@ def test_opening_what_is_not_there(tmp_path):
 
 def test_opening_a_broken_store(written, tmp_path):
     shutil.copytree(written["summary"].folder, tmp_path / "x")
-    (tmp_path / "x" / store.STORE / "zarr.json").write_text("{")
+    (tmp_path / "x" / STORE / "zarr.json").write_text("{")
     with pytest.raises(StoreError, match="cannot be read"):
         estbench.open_results(tmp_path / "x")
-    (tmp_path / "x" / store.STORE / "zarr.json").unlink()
+    (tmp_path / "x" / STORE / "zarr.json").unlink()
     with pytest.raises(StoreError, match="cannot be read"):
         estbench.open_results(tmp_path / "x")

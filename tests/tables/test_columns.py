@@ -1,8 +1,9 @@
 import pytest
 from rich.console import Console
 
-from estbench.montecarlo import run as experiment
-from estbench.tables.columns import Column, Columns, fit
+import estbench
+from estbench.scenario.load import resolve
+from estbench.tables.columns import Column, Table, fit
 
 NAME = "an_estimator/with_a_long_name"
 KEY = (Column("name", (NAME, "ekf"), "left"),)
@@ -21,7 +22,7 @@ def shown(renderable, width):
 
 @pytest.mark.parametrize("width", [60, 80, 100, 200])
 def test_every_line_fits_and_every_cell_is_whole(width):
-    lines = shown(Columns(KEY, numbers(12)), width)
+    lines = shown(Table(KEY, numbers(12)), width)
     assert max(map(len, lines)) <= width
     tables = sum(line.startswith("name") for line in lines)
     assert tables == -(-12 // ((width - len(NAME)) // 10))
@@ -48,21 +49,21 @@ def test_a_heading_is_narrow_only_where_that_saves_a_table():
     (wide,), (narrow,) = fit(KEY, groups, full), fit(KEY, groups, full - 5)
     assert (wide[-1].heading, narrow[-1].heading) == (cost.heading, cost.narrow)
     assert [t[-1].heading for t in fit(KEY, groups, full - 6)] == ["c1", cost.heading]
-    assert max(map(len, shown(Columns(KEY, groups), full - 5))) <= full - 5
+    assert max(map(len, shown(Table(KEY, groups), full - 5))) <= full - 5
 
 
 def test_a_name_that_is_wider_than_the_screen_is_folded_and_not_cut():
     long = (Column("name", ("x" * 150,), "left"),)
-    lines = shown(Columns(long, ((Column("value", ("7",)),),)), 100)
+    lines = shown(Table(long, ((Column("value", ("7",)),),)), 100)
     assert max(map(len, lines)) <= 100
     assert sum(line.count("x") for line in lines) == 150
 
 
 def test_long_labels_in_the_tables_of_results():
     labels = {"filterpy_ekf": "ekf", "quadrature_of_order_three": "ghkf", "my_own_filter_2": "ukf"}
-    scenario = experiment.resolve("pendulum", runs=20, duration=0.5)
+    scenario = resolve("pendulum", runs=20, duration=0.5)
     estimators = {label: {"type": kind} for label, kind in labels.items()}
-    lines = str(experiment.run(scenario.model_copy(update={"estimators": estimators})))
+    lines = str(estbench.run(scenario.model_copy(update={"estimators": estimators})))
     assert max(map(len, lines.splitlines())) <= 100
     for label in labels:
         rows = [line for line in lines.splitlines() if line.startswith(label)]

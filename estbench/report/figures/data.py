@@ -1,7 +1,7 @@
 """The numbers behind the figures: per-step means with bands, chosen runs.
 
-Statistics are over every finished run that did not diverge. Only `thin` and `choose_runs` leave
-anything out, and they are for drawing.
+Statistics are over all finished runs that did not diverge. `thin` and `choose_runs` select what is
+drawn.
 """
 
 from collections.abc import Sequence
@@ -10,27 +10,27 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from estbench.analysis.findings import inside_shares
 from estbench.consistency.coverage import Coverage
 from estbench.consistency.coverage import coverage as shares_inside
+from estbench.consistency.intervals import normal_mean_square_bounds, positive_mean_bounds
 from estbench.consistency.nees import chi_square_band
 from estbench.report.sources import Entry
 from estbench.shapes import Array
 
 POINTS = 1000
-"""Instants drawn of one curve, at most."""
+"""Most instants drawn of one curve."""
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """A mean over runs at every step, and the band in which a consistent filter's would lie.
+    """A mean over runs at each step, and the band of a consistent filter.
 
     Attributes:
         time: `(k,)` s.
         mean, low, high: `(k,)`, as a ratio to the degrees of freedom: 1 is consistent.
-        counts: which steps count in the share `(k,)`.
+        counts: steps that count in the share `(k,)`.
         expected: share of the steps expected outside.
     """
 
@@ -54,7 +54,7 @@ class Steps:
         return float(self.out.sum() / total) if total else np.nan
 
     def worst_window(self, part: float = 0.1) -> tuple[float, float, float]:
-        """Start, end and share outside of the stretch of `part` of the time that is worst."""
+        """The worst window of length `part` of the time: start, end, s, and share outside."""
         window = max(1, round(part * len(self.time)))
         total = np.concatenate([[0], np.cumsum(self.out)])
         count = np.concatenate([[0], np.cumsum(self.counts)])
@@ -65,7 +65,7 @@ class Steps:
 
 
 def coverage(entry: Entry) -> tuple[Coverage, ...] | None:
-    """Of each coordinate, from the shares of each run, which only older stores lack."""
+    """Coverage of each coordinate across runs; None for stores of older versions."""
     shares = inside_shares(entry.record)
     if shares is None:
         return None
@@ -74,14 +74,14 @@ def coverage(entry: Entry) -> tuple[Coverage, ...] | None:
 
 
 def nees_steps(entry: Entry) -> Steps:
-    """NEES/n averaged over the runs at every instant, with its chi-square band."""
+    """NEES/n averaged over the runs at each instant, with its chi-square band."""
     record, n = entry.record, entry.source.n
     runs = record["count"].sum(axis=0)
     return _steps(entry, record["nees_sum"].sum(axis=0), np.full(len(runs), n), runs)
 
 
 def nis_steps(entry: Entry) -> Steps:
-    """NIS/m averaged over the runs at every instant at which something arrived."""
+    """NIS/m averaged over the runs at each instant with readings, with its chi-square band."""
     record = entry.record
     runs = record["count"].sum(axis=0)
     dof = record["dof_sum"].sum(axis=0) / np.maximum(runs, 1)
@@ -100,7 +100,7 @@ def _steps(entry: Entry, total: Array, dof: Array, runs: Array) -> Steps:
 
 @dataclass(frozen=True, eq=False)
 class Rmse:
-    """RMSE over the runs at every instant, against what the filter reports.
+    """RMSE over the runs at each instant, and σ that the filter reports.
 
     Attributes:
         time: `(K + 1,)` s.
@@ -118,12 +118,12 @@ class Rmse:
 
 
 def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
-    """RMSE over time with an interval at every step.
+    """RMSE over time with an interval at each step.
 
     Args:
         entry: the estimator.
-        fourth: sum over the runs of the fourth power of the error `(K + 1, n)` where traces were
-            kept: then the interval is `consistency.positive_mean_interval` of the squared error
+        fourth: sum over the runs of the fourth power of the error `(K + 1, n)`, if traces were
+            stored. The interval is then `intervals.positive_mean_interval` of the squared error
             across runs, as in the tables. Without it the errors are taken to be normal.
     """
     record, level = entry.record, entry.source.level
@@ -134,30 +134,21 @@ def rmse_steps(entry: Entry, fourth: Array | None = None) -> Rmse:
         sigma = np.sqrt(record["variance_sum"].sum(axis=0) / runs)
         if fourth is not None:
             variance = np.maximum(fourth / runs - mse**2, 0.0) * runs / (runs - 1)
-            low, high = _positive_intervals(mse, variance, runs, level)
+            low, high = positive_mean_bounds(mse, variance, runs, level)
         else:
-            low, high = (square / stats.chi2.ppf(0.5 + s * level / 2, runs) for s in (1, -1))
+            low, high = normal_mean_square_bounds(square, runs, level)
         return Rmse(
             entry.source.times, np.sqrt(mse), sigma,
             np.sqrt(np.maximum(low, 0.0)), np.sqrt(high), fourth is not None,
         )  # fmt: skip
 
 
-def _positive_intervals(mean: Array, variance: Array, runs: Array, level: float) -> tuple:
-    """`consistency.positive_mean_interval` for many means at once, from their moments."""
-    squared = variance / mean**2
-    v = squared / runs / 9
-    half = stats.t.ppf(0.5 + level / 2, (runs - 1) / (1 + squared)) * np.sqrt(v)
-    high = 1 - v - half
-    return mean / (1 - v + half) ** 3, np.where(high > 0, mean / high**3, np.inf)
-
-
 def thin(values: Array, points: int = POINTS) -> NDArray[np.intp]:
-    """Indices of at most `points` values that keep every bucket's least and greatest.
+    """Indices of at most `points` values, with the least and the greatest of each bucket.
 
     Args:
         values: `(k,)` or `(k, series)`; several series are thinned together by their range.
-        points: how many to keep.
+        points: count of indices.
     """
     count = len(values)
     if count <= points:
@@ -179,14 +170,14 @@ def thin(values: Array, points: int = POINTS) -> NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A run that is drawn, and why."""
+    """A run that is drawn, and the reason."""
 
     run: int
     why: str
 
 
 def choose_runs(entries: Sequence[Entry], most: int) -> list[Chosen]:
-    """Runs worth a look: each entry's worst and best by NEES/n, its median, then the first ones."""
+    """Runs to draw: the worst, best and median by NEES/n of each entry, then the first ones."""
     reasons: dict[int, dict[str, list[str]]] = {}
     ranked = []
     for entry in entries:

@@ -1,8 +1,8 @@
-"""A figure of the page as plain data, and the pieces that all figures are made of.
+"""A figure of the page as plain data, and the parts that all figures share.
 
-Each trace's `meta` says whose it is, so that the page can choose: `entry` (drawn while that entry
-is chosen; always without it or with `always`), `band` (drawn once for all entries with the same
-band), and `bind`: the row of the chosen run's data that is its y.
+The `meta` of each trace tells the page when to draw it: `entry` (while that entry is selected;
+always without it or with `always`), `band` (once for all entries with the same band), and `bind`
+(the row of the selected run's data that is its y).
 """
 
 from collections.abc import Sequence
@@ -34,13 +34,13 @@ class Drawing:
 
     Attributes:
         name: its id on the page.
-        title: what it shows.
+        title: of the figure.
         traces: plotly traces as plain data.
         layout: plotly layout as plain data.
         height: pixels.
-        time: whether the x axis is time, shared with the others.
-        coordinate: index of the coordinate it is about, or None.
-        trim: whether the first instants may be cut off at the top and bottom.
+        time: whether the x axis is time, shared with other figures.
+        coordinate: index of its coordinate, or None.
+        trim: whether the y axis may cut off the first instants.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What is drawn: entries, and their statistics in the same order."""
+    """The entries to draw, and their statistics in the same order."""
 
     entries: Sequence[Entry]
     traces: Sequence[TraceStatistics | None]
@@ -96,7 +96,7 @@ def line(index: int, x: Any, y: Any, name: str, **more: Any) -> go.Scatter:
 
 
 def area(x: Any, low: Any, high: Any, fill: str, meta: dict[str, Any]) -> list[go.Scatter]:
-    """Two lines without width and the area between them."""
+    """Two invisible lines and the area between them."""
     common: dict[str, Any] = {
         "x": x, "mode": "lines", "line": {"width": 0, "color": fill}, "hoverinfo": "skip",
         "showlegend": False, "connectgaps": False,
@@ -117,13 +117,13 @@ def drawing(
 
 
 def axes(x: str, y: str, **more: Any) -> dict[str, dict[str, Any]]:
-    """A layout with titles; the rest belongs to the y axis."""
+    """A layout with titles of the axes; `more` belongs to the y axis."""
     title = {"x": {"text": x, "standoff": 4}, "y": {"text": y, "standoff": 4}}
     return {"xaxis": {"title": title["x"]}, "yaxis": {"title": title["y"]} | more}
 
 
 def span(curves: Sequence[Array]) -> dict[str, Any]:
-    """A logarithmic y axis where the curves span more than a factor of 8."""
+    """A logarithmic y axis if the curves span more than a factor of 8."""
     values = np.concatenate([c[np.isfinite(c) & (c > 0)] for c in curves])
     wide = len(values) and values.max() > 8 * np.percentile(values, 5)
     return {"type": "log"} if wide else {}

@@ -1,4 +1,4 @@
-"""The page's figures over time, in plotly, and which figure belongs to which section."""
+"""The page's figures over time, in plotly, and the sections of all figures."""
 
 import hashlib
 from typing import Any
@@ -21,7 +21,7 @@ from estbench.report.figures.drawing import (
 
 
 def drawings(material: Material) -> dict[str, list[Drawing]]:
-    """All figures by section of the page; those that need traces only where there are any."""
+    """All figures by section of the page; those of traces only if there are any."""
     n = range(len(material.names))
     out = {
         "verdict": [spreads.verdict(material)],
@@ -85,7 +85,7 @@ def _rmse(material: Material, i: int) -> Drawing:
 
 
 def _error(material: Material, i: int) -> Drawing:
-    """Error of the chosen run; the page fills x and y in."""
+    """Error of the selected run; the page's script sets x and y."""
     traces: list[Any] = []
     for k, entry in enumerate(material.entries):
         for sigmas, alpha in ((3, 0.12), (1, 0.2)):

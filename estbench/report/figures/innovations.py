@@ -1,12 +1,12 @@
-"""Are the innovations white? What `analysis.whiteness` says of a store's, whole and by channel."""
+"""Autocorrelation of the whitened innovations of a store, together and by channel."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from estbench.consistency.intervals import normal_quantile
 from estbench.consistency.whiteness import Whiteness, whiteness
 from estbench.errors import EstbenchError
 from estbench.experiment import setup
@@ -22,7 +22,7 @@ class Correlation:
 
     Attributes:
         found: correlation of each lag from 1, and Ljung & Box's test.
-        band: half-width of the band of the correlation, a mean over runs, of white ones, one a lag.
+        band: half-width, per lag, of the band of the mean correlation of white innovations.
     """
 
     found: Whiteness
@@ -30,16 +30,16 @@ class Correlation:
 
 
 def whole(entry: Entry) -> Correlation | None:
-    """Of all channels together, or None where the store kept no lag products."""
+    """Correlation of all channels together, or None if the store has no lag products."""
     if "lags" not in entry.record:
         return None
     return _correlation(entry, entry.record["lags"], entry.record["lag_terms"])
 
 
 def by_channel(entry: Entry) -> dict[str, Correlation]:
-    """Of each channel by itself, each whitened by its own block of S.
+    """Correlation of each channel, whitened by its own block of S.
 
-    {} where the store does not keep everything, or the robot's file is gone.
+    {} if the store does not have the innovations, or the robot's file is missing.
     """
     if "innovation" not in entry.group:
         return {}
@@ -59,7 +59,7 @@ def by_channel(entry: Entry) -> dict[str, Correlation]:
 
 
 def _products(entry: Entry, columns: list[int]) -> Iterator[tuple[Array, NDArray[np.int64]]]:
-    """Lag products of some components of the innovation, batch by batch."""
+    """Lag products of the given components of the innovation, batch by batch."""
     for where in entry.source.batches:
         group = entry.group.isel(run=where)
         residual = group["innovation"].values[..., columns].astype(np.float64)
@@ -82,7 +82,7 @@ def _correlation(entry: Entry, sums: Array, terms: NDArray[np.int64]) -> Correla
     if found is None:
         return None
     used = np.isfinite(sums).all(axis=-1) & (terms[:, 1:] > 0).any(axis=-1)
-    z = float(stats.norm.ppf(0.5 + entry.source.level / 2))
-    with np.errstate(divide="ignore"):  # a lag that no run is long enough for
+    z = normal_quantile(entry.source.level)
+    with np.errstate(divide="ignore"):  # a lag longer than all runs
         spread = np.sqrt((1 / terms[used, 1:]).sum(axis=0)) / used.sum()
     return Correlation(found, z * spread)

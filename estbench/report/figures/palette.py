@@ -1,8 +1,8 @@
 """Colours that colour-blind readers can tell apart, the same in the page and on paper.
 
-Source: M. Okabe & K. Ito, "Color Universal Design" (2008). Yellow and black are left out: one is
-lost on white, the other on a dark page. Dashes change with every colour, so that of two curves
-that coincide both are seen, and 35 entries differ.
+Source: M. Okabe & K. Ito, "Color Universal Design" (2008), without yellow, which is invisible on
+white, and black, which is invisible on a dark page. Each colour has its own dashes, so that two
+curves that coincide are both visible. 35 entries differ.
 """
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")

@@ -1,4 +1,4 @@
-"""`estbench plot`: the report's figures for a paper, with matplotlib, one or two columns wide."""
+"""`estbench plot`: the report's figures for papers, with matplotlib, one or two columns wide."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ _NEED_TRACES = ("error", "histogram")
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """What is drawn and how wide.
+    """The content and the width of a figure.
 
     Attributes:
         entries: in order.
@@ -70,15 +70,15 @@ class Paper:
 
 
 def plot(paper: Paper, what: str, path: Path) -> None:
-    """Draw one kind of figure into a file, whose suffix says the format.
+    """Draw one kind of figure into a file; its suffix is the format.
 
     Args:
-        paper: what of.
+        paper: content and width.
         what: one of `KINDS`.
         path: the file.
 
     Raises:
-        EstbenchError: an unknown kind or format, or a figure that needs traces without any.
+        EstbenchError: the kind or format is unknown, or the figure needs traces and has none.
         StoreError: the file cannot be written.
     """
     kind = path.suffix.lstrip(".").lower()
@@ -106,7 +106,7 @@ def _figure(paper: Paper, rows: int, columns: int, height: float) -> tuple[Figur
 
 
 def _grid(paper: Paper, count: int, height: float = 1.25) -> tuple[Figure, list[Axes]]:
-    """Small axes, one a coordinate; those left over are removed."""
+    """Small axes, one per coordinate."""
     columns = min(count, 1 if paper.columns == 1 else 3 if count > 4 else 2)
     rows = -(-count // columns)
     figure, axes = _figure(paper, rows, columns, height if rows > 1 else 1.7)
@@ -125,7 +125,7 @@ def _style(index: int) -> dict[str, Any]:
 
 
 def _legend(figure: Figure, paper: Paper, ax: Axes, band: str = "") -> None:
-    """The entries above the figure, and what the grey band is."""
+    """The legend above the figure: entries, and the grey band."""
     handles: list[Any] = [
         ax.plot([], [], **_style(k), label=e.key)[0] for k, e in enumerate(paper.entries)
     ]
@@ -268,7 +268,7 @@ def _histogram(paper: Paper) -> Figure:
 
 
 def _autocorrelation(paper: Paper) -> Figure:
-    """Of NIS; from stores that kept no traces, of the whitened innovations."""
+    """Autocorrelation of NIS, or of the whitened innovations for stores without traces."""
     figure, (ax,) = _figure(paper, 1, 1, 1.9)
     if all(e.source.has_traces for e in paper.entries):
         curves = [_of_nis(statistics) for statistics in _statistics(paper)]
@@ -295,7 +295,7 @@ def _of_nis(statistics: traces.TraceStatistics) -> tuple[Any, Any, Any]:
 
 
 def _known(paper: Paper, what: str, of: Callable[[Entry], T | None]) -> list[T]:
-    """What each entry has of it."""
+    """A statistic of each entry; an error if one entry does not have it."""
     found = [of(entry) for entry in paper.entries]
     for entry, one in zip(paper.entries, found):
         if one is None:

@@ -1,4 +1,4 @@
-"""The page's figures that are not over time: verdicts, coverage, densities, correlation, cost."""
+"""The page's other figures: verdicts, coverage, densities, correlation, cost."""
 
 import hashlib
 from collections.abc import Sequence
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from estbench.analysis.tables import number
 from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.errors import MissingExtraError
 from estbench.report.figures import palette
@@ -16,6 +15,7 @@ from estbench.report.figures.innovations import Correlation
 from estbench.report.figures.traces import ERROR_EDGES, TraceStatistics
 from estbench.report.sources import Entry
 from estbench.shapes import Array
+from estbench.tables.quantity import number
 
 try:
     import plotly.graph_objects as go
@@ -55,7 +55,7 @@ def verdict(material: Material) -> Drawing:
 
 
 def coverage(material: Material, k: int) -> Drawing:
-    """Share of errors within so many σ, a dot a coordinate."""
+    """Share of errors within kσ, one dot per coordinate."""
     names = material.names
     expected = EXPECTED[k]
     drawn = [(j, e, c) for j, (e, c) in enumerate(zip(material.entries, material.coverage)) if c]

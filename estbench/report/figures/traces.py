@@ -1,4 +1,4 @@
-"""Statistics that need the traces of every run, read batch by batch so that any store fits."""
+"""Statistics of the traces of all runs, read batch by batch so that large stores fit."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
+from estbench.consistency.intervals import normal_quantile
 from estbench.consistency.nees import chi_square_band
 from estbench.montecarlo.executors import cpu_count
 from estbench.report.figures.data import thin
@@ -23,18 +24,18 @@ NEES_BINS = 60
 
 @dataclass(frozen=True, eq=False)
 class TraceStatistics:
-    """What only the traces can say of one estimator; over the runs that did not diverge.
+    """Statistics of one estimator's traces, over the runs that did not diverge.
 
     Attributes:
         errors: density of error/σ in the bins `ERROR_EDGES` `(n, bins)`.
         beyond: share of error/σ outside these bins `(n,)`.
         nees_edges, nees: bins of NEES and the density in them.
         outside: share of single values of NEES and NIS outside the band of one run.
-        correlation: of NIS with itself, by lag in instants `(LAGS + 1,)`; NaN where never paired.
+        correlation: autocorrelation of NIS by lag in instants `(LAGS + 1,)`; NaN without pairs.
         correlation_band: half-width of the band of each lag for independent innovations.
         fourth: sum over runs of the fourth power of the error `(K + 1, n)`.
-        left: when each diverged run went above the threshold for good, s, by run number; NaN where
-            it failed without.
+        left: start of the time above the threshold for which each diverged run counts as diverged,
+            s, by run number; NaN if it failed without.
     """
 
     errors: Array
@@ -63,7 +64,7 @@ class _Part:
 
 
 def statistics(entry: Entry) -> TraceStatistics | None:
-    """The statistics of an entry's traces, or None if the store kept none."""
+    """The statistics of an entry's traces, or None if the store has none."""
     if not entry.source.has_traces:
         return None
     source, n = entry.source, entry.source.n
@@ -82,7 +83,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         left |= part.left
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(pairs > 0, products / pairs, np.nan)
-        z = float(stats.norm.ppf(0.5 + source.level / 2))
+        z = normal_quantile(source.level)
         return TraceStatistics(
             errors=errors / (total * np.diff(ERROR_EDGES)),
             beyond=1 - errors.sum(axis=1) / total,
@@ -97,7 +98,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
 
 
 def _pieces(entry: Entry) -> Iterator[tuple[slice, slice]]:
-    """Each finished batch as positions in the store and positions in the record."""
+    """Each finished batch as indices in the store and in the record."""
     start = 0
     for where in entry.source.batches:
         stop = start + where.stop - where.start
@@ -131,17 +132,17 @@ def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
 
 
 def _histogram(values: Array, edges: Array) -> Array:
-    """Counts in bins of one width: numpy is much faster if it knows that they are."""
+    """Counts in bins of equal width, for which numpy has a faster method."""
     return np.histogram(values, len(edges) - 1, (edges[0], edges[-1]))[0]
 
 
 def _double(group: xr.Dataset, name: str) -> Array:
-    """A trace in double precision; a store may keep less."""
+    """A trace in double precision; the store may have float32."""
     return group[name].values.astype(np.float64)
 
 
 def _outside(values: Array, dof: NDArray, level: float) -> Array:
-    """How many values lie outside the chi-square band of one, and of how many."""
+    """Count of the values outside the chi-square band of one run, and count of all values."""
     sizes = np.unique(dof[dof > 0])
     low, high = np.zeros(int(dof.max(initial=0)) + 1), np.zeros(int(dof.max(initial=0)) + 1)
     for m in sizes:
@@ -153,10 +154,10 @@ def _outside(values: Array, dof: NDArray, level: float) -> Array:
 
 
 def _products(nis: Array, dof: NDArray) -> tuple[Array, Array]:
-    """Sums over runs and instants of z(k) z(k + lag), and how many; z = (NIS - m)/sqrt(2 m).
+    """Sums over runs and instants of z(k) z(k + lag), and their counts; z = (NIS - m)/sqrt(2 m).
 
     NIS of a consistent filter is independent from one update to the next, of mean m and variance
-    2 m. Lags count instants; products exist where something arrived at both.
+    2 m. Lags count instants; a product exists if readings arrived at both.
     """
     used = dof > 0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -168,7 +169,7 @@ def _products(nis: Array, dof: NDArray) -> tuple[Array, Array]:
 def _lagged(values: Array) -> Array:
     """Sums over rows and columns k of v(k) v(k + lag), by the power spectrum `(LAGS + 1,)`."""
     steps = values.shape[1]
-    size = 1 << (2 * steps - 1).bit_length()  # zeros enough that the ends do not meet
+    size = 1 << (2 * steps - 1).bit_length()  # padded with zeros against wrap-around
     power = (np.abs(np.fft.rfft(values, size, axis=1)) ** 2).sum(axis=0)
     out = np.zeros(LAGS + 1)
     lags = min(LAGS + 1, steps)
@@ -177,7 +178,7 @@ def _lagged(values: Array) -> Array:
 
 
 def _left(entry: Entry, nees: Array, runs: NDArray[np.int64]) -> dict[int, float]:
-    """Start of the stretch above the threshold by which each diverged run is one, s."""
+    """Start of the time above the threshold for which each run counts as diverged, s."""
     section, times = entry.source.scenario.consistency, entry.source.times
     window = max(1, min(round(section.divergence_duration / np.diff(times).mean()), len(times)))
     found = {}
@@ -207,9 +208,9 @@ class RunTrace:
 
 
 def run_trace(entry: Entry, run: int, points: int) -> RunTrace | None:
-    """The trace of a run, or None if the store has none of it.
+    """The trace of a run, or None if the store does not have it.
 
-    Thinned so that each stretch keeps the instants where some |error|/σ is greatest.
+    Each bucket of instants keeps those with the greatest |error|/σ of any coordinate.
     """
     place = entry.position(run)
     if place is None or not entry.source.has_traces:
@@ -225,7 +226,7 @@ def run_trace(entry: Entry, run: int, points: int) -> RunTrace | None:
 
 
 def run_points(entries: Sequence[Entry], budget: int = 400_000) -> tuple[int, int]:
-    """How many runs and instants a page can hold: `runs x entries x 2 n x instants <= budget`."""
+    """Count of runs and instants in a page: `runs x entries x 2 n x instants <= budget`."""
     width = sum(2 * entry.source.n + 2 for entry in entries)
     steps = min(500, max(len(entry.source.times) for entry in entries))
     runs = int(np.clip(budget // (width * steps), 4, 16))

@@ -12,6 +12,7 @@ from estbench.consistency.nees import chi_square_band
 from estbench.errors import EstbenchError, EstimatorError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
+from estbench.montecarlo.batch import traced
 from estbench.report.sources import Entry, load
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
@@ -121,7 +122,7 @@ def simulated(scenario: Scenario, run: int, label: str) -> Replay:
         raise EstimatorError(f"no estimator '{label}' in {scenario.name}")
     chosen = scenario.model_copy(update={"estimators": {label: scenario.estimators[label]}})
     prepared = setup.build(chosen)
-    ((_, traces),) = experiment.traced(prepared, [run], keep_cov=True)
+    ((_, traces),) = traced(prepared, [run], keep_cov=True)
     assert traces is not None
     assert traces.cov is not None
     return _replay(

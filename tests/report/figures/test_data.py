@@ -5,13 +5,8 @@ import pytest
 from scipy import stats
 
 from estbench.consistency.coverage import SIGMAS
-from estbench.consistency.nees import (
-    Interval,
-    Verdict,
-    chi_square_band,
-    mean_interval,
-    positive_mean_interval,
-)
+from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
+from estbench.consistency.nees import Verdict, chi_square_band
 from estbench.report import facts
 from estbench.report.figures import data, traces
 

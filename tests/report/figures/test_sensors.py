@@ -5,9 +5,9 @@ import pytest
 
 from estbench.errors import EstbenchError, StoreError
 from estbench.experiment import setup
-from estbench.montecarlo import run as experiment
 from estbench.report.figures import sensors as sensor_picture
 from estbench.robots.library import engine
+from estbench.scenario.load import resolve
 from estbench.simulation.truth import simulate
 
 pytest.importorskip("matplotlib")
@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 @pytest.fixture(scope="module")
 def delayed():
-    return setup.build(experiment.resolve("quadrotor_delayed", duration=1.0))
+    return setup.build(resolve("quadrotor_delayed", duration=1.0))
 
 
 def test_a_record_is_what_the_run_saw(delayed):
@@ -39,7 +39,7 @@ def test_a_record_is_what_the_run_saw(delayed):
 
 
 def test_an_attitude_is_drawn_as_a_rotation():
-    prepared = setup.build(experiment.resolve("quadrotor", duration=0.4))
+    prepared = setup.build(resolve("quadrotor", duration=0.4))
     attitude = sensor_picture.record(prepared, 3.0)[-1]
     assert attitude.channel.name == "attitude"
     assert attitude.true.shape == (80, 3)
@@ -69,7 +69,7 @@ WORDY = "{noise=0.1, rate=50.0, latency=0.03, latency_std=0.01, dropout=0.2, of=
 
 def test_no_words_overlap_and_several_sensors_keep_their_units():
     overrides = [f"channels.imu={WORDY}", "channels.position.axes=[1]", "channels.attitude.rate=25"]
-    prepared = setup.build(experiment.resolve("quadrotor", duration=1.0, overrides=overrides))
+    prepared = setup.build(resolve("quadrotor", duration=1.0, overrides=overrides))
     figure = sensor_picture.draw(sensor_picture.record(prepared, 0.5), "a scenario")
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -90,7 +90,7 @@ def test_no_words_overlap_and_several_sensors_keep_their_units():
 
 def test_a_reading_that_is_taken_after_the_picture_ends_is_not_lost():
     overrides = ["channels.cart_encoder={rate=10.0, jitter=0.04}"]
-    prepared = setup.build(experiment.resolve("cartpole", duration=2.0, overrides=overrides))
+    prepared = setup.build(resolve("cartpole", duration=2.0, overrides=overrides))
     runs = [sensor_picture.record(prepared, 1.0, run)[0] for run in range(6)]
     assert any(len(r.taken) == 9 for r in runs)  # the tenth is taken later in some runs
     assert not any(len(r.lost) for r in runs)

@@ -1,0 +1,239 @@
+"""The statistics of one estimator: each declared once, with its computation.
+
+The tables and the JSON of `estbench run`, all formats of `estbench compare`, the leaderboard, the
+report and the captions under them are made from `STATISTICS`. To add a statistic: declare it here,
+with the variable that it stores if it needs one, and the attribute of `Summary` that holds it; a
+test then asks for its row in docs/statistics.md.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from estbench.consistency.declaration import EVERYWHERE, Place, Statistic
+from estbench.consistency.fields import RUN, Recorded
+from estbench.consistency.intervals import (
+    Interval,
+    mean_interval,
+    positive_mean_interval,
+    wilson,
+)
+from estbench.consistency.nees import Verdict
+from estbench.shapes import Array
+
+COORDINATE = (*RUN, "coordinate")
+
+ANEES = Statistic(
+    name="anees",
+    heading="NEES/n",
+    key="anees_over_n",
+    meaning="mean over runs of the time-averaged NEES, divided by n; the verdict is made from it",
+    of=lambda s: positive_mean_interval(s.converged("anees"), s.level),
+    ideal=1.0,
+    variables={
+        "anees": Recorded(
+            RUN, "f8", "time average of NEES/n", lambda b: b.average(b.traces.nees) / b.n
+        )
+    },
+)
+ANEES_MEDIAN = Statistic(
+    name="anees_median",
+    heading="median",
+    key="anees_over_n_median",
+    meaning="median over all runs of their time-averaged NEES/n",
+    of=lambda s: float(np.median(s.every("anees"))),
+    form="number",
+    decimals=3,
+    all_runs=True,
+    places={"run": "brief", "compare": "brief", "board_csv": "brief", "report": "brief"},
+)
+ANIS = Statistic(
+    name="anis",
+    heading="NIS/m",
+    key="anis_over_m",
+    meaning="mean over runs of the NIS averaged over the updates, divided by m",
+    of=lambda s: positive_mean_interval(s.converged("anis"), s.level),
+    ideal=1.0,
+    places={"run": "full", "compare": "full", "board_csv": "brief", "report": "full"},
+    variables={
+        "anis": Recorded(
+            RUN, "f8", "time average of NIS/m over the updates", lambda b: b.normalized_nis()
+        )
+    },
+)
+LAG_ONE = Statistic(
+    name="lag_one",
+    heading="lag-one",
+    key="innovation_lag_one",
+    meaning="mean over runs of the lag-one correlation of the whitened innovations",
+    of=lambda s: mean_interval(s.converged("lag_one"), s.level),
+    ideal=0.0,
+    phrase="the innovations' lag-one correlation",
+    places={"run": "full", "innovations": "full", "board_csv": "brief", "report": "full"},
+    variables={
+        "lag_one": Recorded(
+            RUN, "f8", "lag-one correlation of the whitened innovations",
+            lambda b: b.traces.lag_one,
+        )
+    },
+)  # fmt: skip
+DIVERGED = Statistic(
+    name="diverged_interval",
+    heading="diverged",
+    key="diverged_share",
+    meaning="share of the runs that diverged, with Wilson's interval",
+    of=lambda s: wilson(int((~s.good).sum()), len(s.good), s.level),
+    form="share",
+    all_runs=True,
+    places={
+        "run": "brief", "compare": "full", "board": "full", "board_csv": "full", "report": "brief",
+    },
+    variables={
+        "diverged": Recorded(
+            RUN, "?", "failed, or NEES/n above the threshold for the duration",
+            lambda b: b.diverged,
+        )
+    },
+)  # fmt: skip
+RMSE = Statistic(
+    name="rmse",
+    heading="RMSE",
+    key="rmse",
+    meaning="root of the mean over time and runs of the squared error",
+    of=lambda s: tuple(
+        positive_mean_interval(column, s.level).root() for column in s.converged("mse").T
+    ),
+    per="coordinate",
+    unit="[c]",
+    note="RMSE over time and the runs that did not diverge",
+    places={"run": "brief", "board": "full", "board_csv": "full", "report": "full"},
+    variables={
+        "mse": Recorded(
+            COORDINATE, "f8", "time average of the squared error, (unit)²",
+            lambda b: b.average(b.square),
+        )
+    },
+)  # fmt: skip
+RMSE_MEDIAN = Statistic(
+    name="rmse_median",
+    heading="median",
+    key="rmse.median",
+    meaning="median over all runs of the root of their time-averaged squared error",
+    of=lambda s: np.sqrt(np.median(s.every("mse"), axis=0)),
+    per="coordinate",
+    unit="[c]",
+    form="number",
+    note="median is that of all runs",
+    all_runs=True,
+    places={"run": "brief"},
+)
+SIGMA = Statistic(
+    name="std",
+    heading="σ",
+    key="rmse.sigma",
+    meaning="root of the mean over time and runs of the variance that the filter reports",
+    of=lambda s: np.sqrt(s.converged("variance").mean(axis=0))
+    if s.good.any()
+    else np.full(s.record["variance"].shape[1], np.nan),
+    per="coordinate",
+    unit="[c]",
+    form="number",
+    note="σ is what the filter reports",
+    places={"run": "brief", "report": "brief"},
+    variables={
+        "variance": Recorded(
+            COORDINATE, "f8", "time average of the filter's variance, (unit)²",
+            lambda b: b.average(b.variance),
+        )
+    },
+)  # fmt: skip
+COST = Statistic(
+    name="cost",
+    heading="µs/run-step",
+    key="cost",
+    meaning="time of one core for predict and update, per run and step",
+    of=lambda s: 1e6 * float(s.record["cpu_time"].mean()) / s.steps,
+    unit="us/run-step",
+    unit_key="us_per_run_step",
+    form="number",
+    note="cost: of one core, a run and step",
+    all_runs=True,
+    places=dict.fromkeys(EVERYWHERE, "brief"),
+    headings={"board": "cost [µs]"},
+    narrow="µs/step",
+)
+STATISTICS: tuple[Statistic, ...] = (
+    ANEES, ANEES_MEDIAN, ANIS, LAG_ONE, DIVERGED, RMSE, RMSE_MEDIAN, SIGMA, COST,
+)  # fmt: skip
+"""In the order in which tables, JSON and CSV show them."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One run that failed.
+
+    Attributes:
+        run: its number.
+        time: of the failure, s.
+        reason: why.
+    """
+
+    run: int
+    time: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What is said of one estimator: one attribute for each of `STATISTICS`, and what follows.
+
+    Attributes:
+        label: the estimator's label.
+        runs: how many runs.
+        verdict: from ANEES/n and the share of diverged runs.
+        failures: the runs with a numerical failure.
+        late: readings, of all runs, that came after the window and were not fused.
+    """
+
+    label: str
+    runs: int
+    verdict: Verdict
+    anees: Interval
+    anees_median: float
+    anis: Interval
+    lag_one: Interval
+    diverged_interval: Interval
+    rmse: tuple[Interval, ...]
+    rmse_median: Array
+    std: Array
+    cost: float
+    failures: tuple[Failure, ...]
+    late: int = 0
+
+    @property
+    def diverged(self) -> float:
+        """Share of the runs that diverged."""
+        return self.diverged_interval.value
+
+
+def of(per: Literal["run", "coordinate"]) -> list[Statistic]:
+    """The statistics with one value, or those with one per coordinate, in order."""
+    return [s for s in STATISTICS if s.per == per]
+
+
+def shown(place: Place, per: Literal["run", "coordinate"] = "run") -> list[Statistic]:
+    """The statistics of one table, in order."""
+    return [s for s in of(per) if place in s.places]
+
+
+def ideals(place: Place) -> str:
+    """`NEES/n and NIS/m are 1, ... is 0`: the values of a consistent filter, for a caption."""
+    by_value: dict[float, list[str]] = {}
+    for s in shown(place):
+        if s.ideal is not None:
+            by_value.setdefault(s.ideal, []).append(s.phrase or s.heading)
+    return ", ".join(
+        f"{' and '.join(names)} {'are' if len(names) > 1 else 'is'} {value:g}"
+        for value, names in by_value.items()
+    )

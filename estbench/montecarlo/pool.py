@@ -1,0 +1,140 @@
+"""A pool of workers, and the loop that runs tasks on one: threads, processes, or a dask cluster.
+
+The three have one interface, `concurrent.futures.Executor`. The death of a worker breaks the whole
+executor: a new one is made and the unfinished tasks are tried again one at a time, so that a task
+that kills its worker is identified and reported while the others complete. A task that runs out of
+memory is tried again in the same way, while no other task takes any.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from estbench.errors import ExecutorError
+
+T = TypeVar("T")
+POLL = 1.0
+"""Seconds between two checks whether a cluster is still there."""
+
+
+@dataclass(frozen=True)
+class Failed(Generic[T]):
+    """A task without a result, and its error."""
+
+    task: T
+    error: Exception
+
+
+@dataclass(frozen=True)
+class Pool:
+    """How to make an executor, how many tasks it runs at once, and how to abandon it."""
+
+    make: Callable[[], Executor]
+    workers: int
+    abandon: Callable[[Executor], None]
+    queue: int
+    """Tasks submitted at once. Processes get only as many as run at once, so that few tasks can be
+    the cause of a worker's death."""
+    local: bool = False
+    """Whether tasks run in this process's memory."""
+    lost: Callable[[], bool] = lambda: False
+    """Whether the workers are gone although their futures do not end."""
+
+
+def execute(
+    function: Callable[[T], Any],
+    tasks: Sequence[T],
+    using: Pool,
+    stop: Callable[[], None] = lambda: None,
+    retries: int = 2,
+) -> Generator[tuple[T, Any] | Failed[T], None, None]:
+    """Results in the order of completion; a task that raised or whose worker died is `Failed`.
+
+    Args:
+        function: called with each task; for processes it must be importable.
+        tasks: hashable.
+        using: the workers, from `executors.pool`.
+        stop: called if the loop is left early, before the executor is abandoned.
+        retries: how often a task whose worker died is run again, alone.
+    """
+    fresh, suspects = deque(tasks), deque[T]()
+    deaths: Counter[T] = Counter()
+    waiting: dict[Future[Any], T] = {}
+    succeeded = False
+    executor = using.make()
+    try:
+        while fresh or suspects or waiting:
+            # Suspects run alone, after the others: if a worker dies again, the task is known. As
+            # long as no task has succeeded they run first, so that a hopeless run ends soon.
+            alone = bool(suspects) and not (fresh and succeeded)
+            source, limit = (suspects, 1) if alone else (fresh, using.queue)
+            broken = False
+            while source and len(waiting) < limit and not broken:
+                task = source.popleft()
+                try:
+                    waiting[executor.submit(function, task)] = task
+                except BrokenExecutor:  # a worker died before; this task is no suspect
+                    source.appendleft(task)
+                    broken = True
+                except Exception as error:  # a lost cluster accepts no tasks
+                    yield Failed(task, ExecutorError(f"{LOST} ({type(error).__name__}: {error})"))
+            finished, _ = wait(waiting, POLL, FIRST_COMPLETED) if waiting else ((), ())
+            if not finished and using.lost():  # its futures would never end
+                for task in (*waiting.values(), *suspects, *fresh):
+                    yield Failed(task, ExecutorError(LOST))
+                using.abandon(executor)
+                return
+            lost: dict[T, str] = {}
+            for future in finished:
+                task = waiting.pop(future)
+                try:
+                    result = future.result()
+                except BrokenExecutor:
+                    broken, lost[task] = True, DIED
+                except MemoryError:
+                    lost[task] = NO_MEMORY
+                except Exception as error:  # what the task raised is its failure
+                    yield Failed(task, _ours(error))
+                else:
+                    succeeded = True
+                    yield task, result
+            if broken:
+                lost |= dict.fromkeys(waiting.values(), DIED)
+                waiting.clear()
+                using.abandon(executor)
+                executor = using.make()
+            for task, reason in lost.items():
+                deaths[task] += 1
+                if deaths[task] <= retries:
+                    suspects.append(task)
+                else:
+                    yield Failed(task, ExecutorError(reason.format(deaths[task])))
+    except BaseException:
+        stop()
+        using.abandon(executor)
+        raise
+    executor.shutdown(wait=True)
+    using.abandon(executor)  # a cluster's connection is left open otherwise
+
+
+DIED = "the worker died {} times (out of memory? killed?); take fewer --workers"
+NO_MEMORY = "no memory, {} times, alone too; take --keep summary, or fewer estimators at once"
+LOST = "the cluster was lost; go on with --resume"
+
+
+def _ours(error: Exception) -> Exception:
+    """The error of a task, with a clear message where a cluster lost it."""
+    if isinstance(error, CancelledError):
+        return ExecutorError(LOST)
+    if type(error).__name__ == "KilledWorker":  # distributed.scheduler.KilledWorker
+        return ExecutorError(f"the workers that computed it died: {error}")
+    return error

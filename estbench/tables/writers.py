@@ -1,0 +1,74 @@
+"""Tables as text, Markdown and LaTeX. A table without columns is the heading of a section."""
+
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from estbench.tables.columns import Table
+
+
+def text(tables: Sequence[Table], width: int = 100) -> str:
+    """For a terminal of `width` characters; columns that do not fit go on in a table below."""
+    console = Console(width=width, no_color=True, force_terminal=False, highlight=False)
+    with console.capture() as capture:
+        for table in tables:
+            console.print(f"{table.title}:" if table.columns else table.title, markup=False)
+            if table.columns:
+                console.print(table)
+            if table.note:
+                console.print(table.note, markup=False)
+            console.print()
+    return "\n".join(line.rstrip() for line in capture.get().splitlines()).rstrip()
+
+
+def markdown(tables: Sequence[Table]) -> str:
+    """Pipe tables under headings of the third level."""
+    parts = []
+    for table in tables:
+        if not table.columns:
+            parts.append(f"## {table.title}")
+            continue
+        headings = [c.heading for c in table.columns]
+        rule = ["---:" if c.justify == "right" else "---" for c in table.columns]
+        rows = [[cell.replace("|", "\\|") for cell in row] for row in table.rows]
+        lines = ["| " + " | ".join(row) + " |" for row in (headings, rule, *rows)]
+        parts.append("\n".join([f"### {table.title}", "", *lines]))
+        if table.note:
+            parts.append(table.note)
+    return "\n\n".join(parts)
+
+
+def latex(tables: Sequence[Table]) -> str:
+    """`table` environments with booktabs rules; a section's heading is a comment."""
+    parts = ["% \\usepackage{booktabs}"]
+    for table in tables:
+        if not table.columns:
+            parts.append(f"% {table.title}")
+            continue
+        sides = "".join(c.justify[0] for c in table.columns)
+        headings = [c.heading for c in table.columns]
+        head, *rows = (" & ".join(map(escape, row)) + r" \\" for row in (headings, *table.rows))
+        caption = escape(f"{table.title}. {table.note}".replace("\n", " ").strip())
+        parts.append(
+            "\n".join(
+                [
+                    r"\begin{table}", r"\centering", rf"\caption{{{caption}}}",
+                    rf"\begin{{tabular}}{{{sides}}}", r"\toprule", head, r"\midrule", *rows,
+                    r"\bottomrule", r"\end{tabular}", r"\end{table}",
+                ]
+            )
+        )  # fmt: skip
+    return "\n\n".join(parts)
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "±": r"$\pm$", "σ": r"$\sigma$", "µ": r"$\mu$", "ν": r"$\nu$", "×": r"$\times$",
+    "²": r"$^2$", "∞": r"$\infty$", "<": r"$<$", ">": r"$>$", "–": "--",
+}  # fmt: skip
+
+
+def escape(cell: str) -> str:
+    """Text for LaTeX."""
+    return "".join(_LATEX.get(c, c) for c in cell)
