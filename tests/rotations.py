@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from estbench.spaces import rotation
 from estbench.spaces.manifold import Manifold
@@ -12,13 +13,22 @@ REST = np.array([[1.0, 0.0, 0.0, 0.0]])
 SAMPLES = 400_000
 
 
+def rotation_matrix(turn):
+    """R(c) `(3, 3)` of a rotation vector, by scipy."""
+    return Rotation.from_rotvec(turn).as_matrix()
+
+
 @dataclass(frozen=True, eq=False)
 class BallJoint:
-    """x⁺ = x ⊞ w, y = A (x ⊖ rest) + v: in the tangent at rest the measurement is linear."""
+    """x⁺ = x ⊞ c ⊞ w, y = A (x ⊖ rest) + v: in the tangent at rest the measurement is linear.
+
+    `turn` is c, a rotation vector; Φ is its rotation matrix transposed.
+    """
 
     A: np.ndarray
     Q: np.ndarray
     R: np.ndarray
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
     space: Manifold = BALL
     nu: int = 0
 
@@ -26,10 +36,11 @@ class BallJoint:
         return Manifold.euclidean(len(self.A))
 
     def transition(self, x, u, t, dt):
-        return x
+        return BALL.plus(x, np.array(self.turn))
 
     def transition_jacobian(self, x, u, t, dt):
-        return x, np.broadcast_to(np.eye(3), (len(x), 3, 3))
+        F = rotation_matrix(self.turn).T
+        return self.transition(x, u, t, dt), np.broadcast_to(F, (len(x), 3, 3))
 
     def process_noise(self, x, u, t, dt):
         return self.Q

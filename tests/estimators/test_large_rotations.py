@@ -12,7 +12,7 @@ import pytest
 from estbench.estimators import registry
 from estbench.estimators.imm import IMM, Modes, combine
 from tests.helpers import DISCRETE, SAMPLED
-from tests.rotations import BALL, REST, SAMPLES, BallJoint, mismatch, moments
+from tests.rotations import BALL, REST, SAMPLES, BallJoint, mismatch, moments, rotation_matrix
 
 P = np.array([[0.5, 0.1, 0.0], [0.1, 0.4, 0.15], [0.0, 0.15, 0.5]])
 NO_CONTROL = np.empty((1, 0))
@@ -34,6 +34,22 @@ def test_every_filter_carries_its_covariance_to_the_new_tangent():
         assert np.abs(error).max() < 0.06, name
         assert mismatch(filter.cov(belief)[0], cov) < 0.15, name
         assert mismatch(C, cov) > 0.6, name
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.7, -0.4, 0.9)])
+def test_a_prediction_turns_mean_and_covariance_with_the_joint(turn):
+    """Exactly, also in filters that are linearized at rest, 1 rad from the estimate."""
+    model = BallJoint(np.eye(3)[:2], np.zeros((3, 3)), 0.05 * np.eye(2), turn)
+    back = rotation_matrix(turn)
+    for name in DISCRETE:
+        filter = registry.create(name, {"size": 200} if name in SAMPLED else {}, model)
+        start = filter.init(REST, P[None])
+        before, _ = filter.update(start, np.array([[1.0, 0.5]]), NO_CONTROL, 0.0)
+        after = filter.predict(before, NO_CONTROL, 0.0, 1.0)
+        turned = BALL.plus(filter.mean(before), np.array(turn))
+        np.testing.assert_allclose(BALL.minus(filter.mean(after), turned), 0.0, atol=1e-9)
+        cov = back.T @ filter.cov(before) @ back
+        np.testing.assert_allclose(filter.cov(after), cov, rtol=0, atol=1e-9, err_msg=name)
 
 
 # The mixture of an IMM: modes 1.6 rad apart, the first with a variance of 0.5 rad²
