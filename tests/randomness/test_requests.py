@@ -45,20 +45,30 @@ CARTPOLE = [
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What is asked of the generators' seeds and of the counter-based numbers, with how often."""
-    requests = Counter()
-    words, bits = seeding.words, counter.bits
+    """What is asked of seed sequences and of the counter-based numbers, with how often.
 
-    def seeds(seed, runs, purpose, count):
+    A stream is made from the words of `SeedSequence(seed, spawn_key=(run, word of the purpose))`,
+    by numpy or by `seeding.words`. Two purposes with one word would count as one asked twice.
+    """
+    requests = Counter()
+    words, sequence, bits = seeding.words, np.random.SeedSequence, counter.bits
+
+    def of_runs(seed, runs, purpose, count):
         requests.update(("stream", seed, int(run), purpose) for run in runs)
         return words(seed, runs, purpose, count)
+
+    def of_one(entropy=None, *, spawn_key=(), **more):
+        if spawn_key:
+            requests["stream", entropy, *map(int, spawn_key)] += 1
+        return sequence(entropy, spawn_key=spawn_key, **more)
 
     def counted(keys, count, purpose, numbers):
         for key, value in np.broadcast(np.atleast_1d(keys), count):
             requests["counter", int(key), int(value), purpose] += 1
         return bits(keys, count, purpose, numbers)
 
-    monkeypatch.setattr(seeding, "words", seeds)
+    monkeypatch.setattr(seeding, "words", of_runs)
+    monkeypatch.setattr(np.random, "SeedSequence", of_one)
     monkeypatch.setattr(counter, "bits", counted)
     return requests
 
@@ -78,11 +88,11 @@ def test_a_run_asks_for_each_stream_once(asked, estimator, observe):
     for run in range(3):  # in a batch an EnKF also draws, and discards, for runs without a reading
         assert batches.run_batch(prepared, [run], "summary") is not None
     assert twice(asked) == []
-    streams = [request for request in asked if request[0] == "stream"]
+    drawn = [request for request in asked if request[0] == "stream"]
     # Per run: start, process, control, two parameters, the estimator's key, the encoder's noise;
     # of each IMU channel noise, jitter, latency, 4 constants and 6 sequences.
-    assert len(streams) == 3 * (7 + 2 * 13)
-    assert len(asked) > len(streams) + 3 * 100  # the estimator's own numbers, two for each step
+    assert len(drawn) == 3 * (7 + 2 * 13)
+    assert len(asked) > len(drawn) + 3 * 100  # the estimator's own numbers, two for each step
 
 
 def test_an_environments_episodes_ask_for_each_number_once(asked):
