@@ -105,6 +105,9 @@ def test_psd_factor_of_rounding_below_zero():
 def test_is_positive_definite():
     good = stack(1, 3)[0]
     assert linalg.is_positive_definite(good)
+    rounding = np.triu(good, 1) * 1e-12
+    assert linalg.is_positive_definite(good + rounding)
+    assert not linalg.is_positive_definite(good + 1e4 * rounding)
     assert not linalg.is_positive_definite(good + np.triu(np.full((3, 3), 0.1), 1))
     for bad in BAD.values():
         assert not linalg.is_positive_definite(bad)
