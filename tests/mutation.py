@@ -139,6 +139,9 @@ def main() -> None:
     for package in options.packages:
         population = mutants(package)
         drawn = random.Random(options.seed).sample(population, min(options.count, len(population)))
+        clean = [file for mutant in drawn for file in tests(Path(mutant.module_path))]
+        if outcome(list(dict.fromkeys(clean))):
+            sys.exit(f"{package}: its tests fail on the unchanged modules; repair them first")
         killed = 0
         for number, mutant in enumerate(drawn, 1):
             found, change = tested(mutant)
