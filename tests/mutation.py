@@ -28,6 +28,7 @@ from cosmic_ray.work_item import MutationSpec
 
 SHARED = {
     "estimators": ["textbook", "gaussian_family", "large_rotations", "registry", "bad_input"],
+    "inference": ["delays", "event_loop"],
     "smoothers": ["estimators", "rts", "map", "large_rotations"],
 }
 """Package -> tests that concern all its modules; elsewhere those of the whole package do."""
@@ -98,15 +99,20 @@ def tests(path: Path) -> list[str]:
     return [str(p) for p in dict.fromkeys(chosen) if p.exists()]
 
 
-def outcome(files: list[str]) -> int:
-    """Exit status of pytest on some files, in a fork; the packages are imported already."""
+def outcome(files: list[str], limit: float = TIMEOUT) -> int:
+    """Exit status of pytest on some files, in a fork; the packages are imported already.
+
+    Args:
+        files: of tests.
+        limit: s; tests that take longer count as failed.
+    """
     child = os.fork()
     if not child:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.dup2(nowhere, 2)
         os._exit(int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *files])))
-    end = time.monotonic() + TIMEOUT
+    end = time.monotonic() + limit
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -114,7 +120,7 @@ def outcome(files: list[str]) -> int:
         time.sleep(0.02)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return 1  # a mutant that never ends is found
+    return 1
 
 
 def tested(mutant: MutationSpec) -> tuple[bool, str]:
@@ -140,7 +146,7 @@ def main() -> None:
         population = mutants(package)
         drawn = random.Random(options.seed).sample(population, min(options.count, len(population)))
         clean = [file for mutant in drawn for file in tests(Path(mutant.module_path))]
-        if outcome(list(dict.fromkeys(clean))):
+        if outcome(list(dict.fromkeys(clean)), 10 * TIMEOUT):
             sys.exit(f"{package}: its tests fail on the unchanged modules; repair them first")
         killed = 0
         for number, mutant in enumerate(drawn, 1):
