@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from estbench.consistency import nees as consistency
-from estbench.consistency.intervals import Interval, mean_interval
+from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
 from estbench.consistency.nees import Verdict, chi_square_band, diverged_runs, judge
 
 # Chi-square bands
@@ -148,3 +148,9 @@ def test_a_window_longer_than_the_run_is_the_whole_run():
 
 def test_docstring_examples():
     assert doctest.testmod(consistency).failed == 0
+
+
+@pytest.mark.parametrize("values", [[0.0, 0.0, 0.0], [-0.5, 0.2, 0.1], [-3.0, -4.0, 1.0]])
+def test_values_without_a_positive_mean_get_students_interval(values):
+    sample = np.array(values)
+    assert positive_mean_interval(sample) == mean_interval(sample)

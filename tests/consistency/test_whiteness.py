@@ -95,3 +95,12 @@ def test_failed_runs_and_single_innovations():
     assert whiteness(broken, terms) == whiteness(products[keep], terms[keep])
     assert module.whiteness(*sums(np.ones((1, 3, 2)))) is None
     assert module.whiteness(products[:0], terms[:0]) is None
+
+
+def test_a_lag_of_one_term_counts_in_each_runs_degrees_of_freedom():
+    products, terms = sums(np.random.default_rng(8).standard_normal((4, 3000, 1)))
+    assert terms[0, 1:4].tolist() == [3, 2, 1]
+    statistic = portmanteau(products, terms)
+    refused, with_two = (int((stats.chi2.sf(statistic, dof) < 0.05).sum()) for dof in (3, 2))
+    assert refused != with_two
+    assert whiteness(products, terms).rejected.value == pytest.approx(refused / 3000)

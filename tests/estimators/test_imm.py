@@ -158,6 +158,20 @@ def test_a_scenarios_mode_that_is_wrong(models, message):
         setup.build(resolved)
 
 
+def test_a_mode_that_is_never_entered_has_probability_zero_and_stays_finite():
+    model = linear_model(0)
+    mean, cov, u = start(model, 2)
+    imm, ekf = IMM(model, transition=[[1.0, 0.0], [1.0, 0.0]]), EKF(model)
+    a, b = imm.init(mean, cov), ekf.init(mean, cov)
+    for k in range(3):
+        a, b = imm.predict(a, u, k, 1.0), ekf.predict(b, u, k, 1.0)
+        (a, _), (b, _) = imm.update(a, np.ones((2, 2)), u, k), ekf.update(b, np.ones((2, 2)), u, k)
+        np.testing.assert_array_equal(a.probability, [[1.0, 0.0]] * 2)
+        assert all(np.isfinite(mode.cov).all() for mode in a.beliefs)
+    np.testing.assert_allclose(imm.mean(a), b.mean, rtol=1e-12)
+    np.testing.assert_allclose(imm.cov(a), b.cov, rtol=1e-12)
+
+
 def test_missing_component_is_out_exactly():
     model = linear_model(3)
     mean, cov, u = start(model, 3)

@@ -115,3 +115,13 @@ def test_the_picture():
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["simulated runs", "datasheet"]
     three = allan.plot(gyro(noise=0.1), 5.0, runs=2)
     assert [ax.get_title() for ax in three.axes] == ["gyro.x", "gyro.y", "gyro.z"]
+
+
+def test_four_readings_are_enough():
+    values = np.array([1.0, 3.0, 2.0, 6.0])
+    taus, found = allan.deviation(values, 0.5)
+    np.testing.assert_array_equal(taus, [0.5])
+    # AVAR(τ) is half the mean square of the differences of neighbouring averages.
+    np.testing.assert_allclose(found, np.sqrt(0.5 * np.mean(np.diff(values) ** 2)))
+    taus, found = allan.deviation(values, 0.5, [1.0])
+    np.testing.assert_allclose(found, np.sqrt(0.5 * (4.0 - 2.0) ** 2))

@@ -141,7 +141,8 @@ def test_student_noise_has_the_covariance_r_and_heavy_tails():
 @pytest.mark.parametrize("dof", [2.1, 5.0, 100.0])
 def test_the_factor_of_student_noise_is_that_of_the_chi_square(dof):
     """t = z sqrt(dof/χ²), scaled to the variance of z; χ² by its inverse distribution function."""
-    uniform = np.concatenate([[0.0, 1e-9, 1 - 1e-9], np.linspace(0.001, 0.999, 1001)])[:, None]
+    tails = [0.0, 2e-12, 1e-9, 1 - 1e-9, 1 - 2e-12]
+    uniform = np.concatenate([tails, np.linspace(0.001, 0.999, 1001)])[:, None]
     found = imperfections._student_scale(uniform, dof)
     expected = np.sqrt((dof - 2) / stats.chi2(dof).ppf(uniform[1:]))
     np.testing.assert_allclose(found[1:], expected, rtol=2e-6)

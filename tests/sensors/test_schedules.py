@@ -135,6 +135,27 @@ def test_the_filter_need_not_know_the_schedule():
     np.testing.assert_allclose(R, [[[9e-4]], [[1e-4]]])
 
 
+@pytest.mark.parametrize(
+    ("overrides", "factors"),
+    [
+        ((), [1.0] * 3),
+        (("channels.gyro.schedule=[[9.0, 3.0]]",), [3.0] * 3),
+        ((f'channels.gyro.schedule="{HERE}:per_axis"',), per_axis(0.5)),
+        (("filter.channels.gyro.schedule=[[9.0, 3.0]]",), [3.0] * 3),
+        (("filter.channels.gyro.noise=0.2",), [0.2 / 0.02] * 3),
+    ],
+    ids=["constant", "factor", "factors", "own factor", "own noise"],
+)
+def test_the_scale_of_the_filters_r_is_that_of_the_variance(overrides, factors):
+    common = ("channels.gyro.noise=0.02", *overrides)
+    one, scaled = (
+        prepare(*common, *more, name="cartpole_imu").model().measurement_noise(0.5, ["gyro"])
+        for more in ((), ("filter.measurement_noise_scale=5.0",))
+    )
+    np.testing.assert_allclose(one, np.diag((0.02 * np.array(factors)) ** 2), rtol=1e-12)
+    np.testing.assert_allclose(scaled, 5.0 * one, rtol=1e-12)
+
+
 # Q over time
 
 

@@ -232,3 +232,37 @@ def test_a_window_longer_than_the_run():
 def test_a_users_filter_can_be_smoothed():
     smoother = RTS(linear_model(0), base="estbench.estimators.ekf:EKF")
     assert len(smoother.smooth(passage(smoother))) == 7
+
+
+class Wrapped(EKF):
+    """A filter of one's own, whose belief is a tuple: only the filter knows mean and covariance."""
+
+    def init(self, mean, cov):
+        return (super().init(mean, cov),)
+
+    def predict(self, belief, u, t, dt):
+        return (super().predict(belief[0], u, t, dt),)
+
+    def update(self, belief, y, u, t, channels=None, mask=None):
+        posterior, innovation = super().update(belief[0], y, u, t, channels, mask)
+        return (posterior,), innovation
+
+    def mean(self, belief):
+        return belief[0].mean
+
+    def cov(self, belief):
+        return belief[0].cov
+
+
+@pytest.mark.parametrize("kind", [RTS, MAP])
+def test_a_base_of_ones_own_answers_for_its_beliefs(kind):
+    own, built_in = (kind(linear_model(0), base=base) for base in (f"{__name__}:Wrapped", "ekf"))
+    one, other = passage(own), passage(built_in)
+    for estimator, history in ((own, one), (built_in, other)):
+        np.testing.assert_array_equal(
+            estimator.cov(history.beliefs[3]), built_in.cov(other.beliefs[3])
+        )
+    for a, b in zip(own.smooth(one), built_in.smooth(other)):
+        np.testing.assert_array_equal(own.mean(a), built_in.mean(b))
+        np.testing.assert_array_equal(own.cov(a), built_in.cov(b))
+        assert not a.fault.any()

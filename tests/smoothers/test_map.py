@@ -5,6 +5,8 @@ from estbench.errors import DimensionError
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.protocol import Measurement
+from estbench.models.differences import Differences
+from estbench.models.function import FunctionModel
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from tests.estimators.test_enkf import start
@@ -90,6 +92,41 @@ def test_nonlinear_minimum():
     assert result.converged.all()
     assert result.iterations[0] > 2
     assert is_stationary(model, prior, [u] * 5, times, measured, result)
+
+
+def in_units(unit):
+    """A pendulum whose start is far off, with its state in other units: the same problem."""
+    model = FunctionModel(
+        lambda x, u, t, dt: unit * stepped(x / unit, dt),
+        lambda x, u, t: np.sin(x[..., :1] / unit),
+        unit**2 * 1e-3 * np.eye(2), 1e-4 * np.eye(1),
+        differences=Differences("centered", 1e-5 * unit),
+    )  # fmt: skip
+    u, times = np.empty((1, 0)), [0.2 * k for k in range(8)]
+    x, measured = np.array([[2.2, -0.5]]), []
+    for _ in times:
+        measured.append([Measurement(np.sin(x[:, :1]), u)])
+        x = stepped(x, 0.2)
+    prior = gaussian(np.zeros((1, 2)), unit**2 * np.array([[[4.0, 0.0], [0.0, 1.0]]]))
+    return map_estimate(
+        model=model, prior=prior, controls=[u] * 7, times=times, measurements=measured,
+        iterations=200, tolerance=1e-6 * unit,
+    )  # fmt: skip
+
+
+def stepped(x, dt):
+    rate = x[..., 1] - dt * np.sin(x[..., 0])
+    return np.stack([x[..., 0] + dt * rate, rate], axis=-1)
+
+
+def test_the_unit_of_the_state_does_not_matter():
+    one, other = in_units(1.0), in_units(1e-4)
+    assert one.converged.all()
+    assert one.iterations[0] > 4
+    np.testing.assert_array_equal(one.iterations, other.iterations)
+    for a, b in zip(one.beliefs, other.beliefs):
+        np.testing.assert_allclose(a.mean, 1e4 * b.mean, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(a.cov, 1e8 * b.cov, rtol=1e-4, atol=1e-7)
 
 
 def test_minimum_on_a_robot_with_quaternions():

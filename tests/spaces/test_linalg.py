@@ -105,6 +105,67 @@ def test_psd_factor_of_rounding_below_zero():
 def test_is_positive_definite():
     good = stack(1, 3)[0]
     assert linalg.is_positive_definite(good)
+    rounding = np.triu(good, 1) * 1e-12
+    assert linalg.is_positive_definite(good + rounding)
+    assert not linalg.is_positive_definite(good + 1e4 * rounding)
     assert not linalg.is_positive_definite(good + np.triu(np.full((3, 3), 0.1), 1))
     for bad in BAD.values():
         assert not linalg.is_positive_definite(bad)
+
+
+def test_is_positive_semidefinite():
+    good = stack(1, 3)[0]
+    for matrix in (good, BAD["singular"], np.zeros((2, 2)), np.zeros((0, 0))):
+        assert linalg.is_positive_semidefinite(matrix)
+    assert linalg.is_positive_semidefinite(np.diag([1.0, -1e-13]))  # rounding
+    assert linalg.is_positive_semidefinite(np.diag([1e4, -1e-9]))  # relative to the largest entry
+    assert not linalg.is_positive_semidefinite(np.diag([1.0, -1e-11]))
+    assert not linalg.is_positive_semidefinite(good + np.triu(np.full((3, 3), 0.1), 1))
+    for name in ("indefinite", "nan", "one nan", "inf"):
+        assert not linalg.is_positive_semidefinite(BAD[name])
+
+
+def test_what_did_not_arrive_is_uncorrelated_with_unit_variance():
+    a = stack(3, 3)
+    mask = np.array([[True, False, True], [False, False, False], [True, True, True]])
+    for cov in (a, a[0]):
+        out = linalg.pad_absent(cov, mask)
+        for i in range(3):
+            expected = np.eye(3)
+            rows = np.ix_(mask[i], mask[i])
+            expected[rows] = np.broadcast_to(cov, (3, 3, 3))[i][rows]
+            np.testing.assert_array_equal(out[i], expected)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("size", [3, 4095, 4096, 5000])
+def test_surely_finite_finds_every_bad_number(size, value):
+    good = np.ones(size)
+    bad = good.copy()
+    bad[-1] = value
+    assert linalg.surely_finite(good, good)
+    assert not linalg.surely_finite(good, bad)
+    assert not linalg.surely_finite(bad, good)
+
+
+def test_weighted_sums():
+    rng = np.random.default_rng(0)
+    points, weights = rng.standard_normal((4, 5, 2)), rng.uniform(size=(4, 5))
+    each = np.einsum("rp,rpk->rk", weights, points)
+    np.testing.assert_allclose(linalg.weighted(weights, points), each, rtol=1e-12)
+    shared = np.einsum("p,rpk->rk", weights[0], points)
+    np.testing.assert_allclose(linalg.weighted(weights[0], points), shared, rtol=1e-12)
+
+
+def test_rescaled():
+    a, d = stack(1, 3)[0], np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(linalg.rescaled(a, 2.0), 4.0 * a)
+    np.testing.assert_allclose(linalg.rescaled(a, d), np.diag(d) @ a @ np.diag(d))
+    np.testing.assert_array_equal(linalg.rescaled(a, np.eye(3)), np.eye(3))
+
+
+def test_the_identity_is_shared_and_read_only():
+    np.testing.assert_array_equal(linalg.identity(3), np.eye(3))
+    assert linalg.identity(3) is linalg.identity(3)
+    with pytest.raises(ValueError, match="read-only"):
+        linalg.identity(3)[0, 0] = 2.0

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from estbench.errors import DimensionError
 from estbench.robots.layout import sensor_space, state_space
 from estbench.spaces import rotation
-from estbench.spaces.manifold import Manifold, product
+from estbench.spaces.manifold import Manifold, carry, product
 from tests.helpers import ZOO, random_cov, random_states, zoo_model
 
 SPACES = {name: state_space(zoo_model(name)) for name in ZOO}
@@ -144,6 +144,23 @@ def test_transport_conjugates_with_the_reset_jacobian():
         expected = J[i] @ cov[i] @ J[i].T
         np.testing.assert_allclose(space.transport(cov, delta)[i], expected, atol=1e-12)
     assert not np.allclose(space.transport(cov, delta), cov)
+
+
+def test_carry_against_differences():
+    """(y ⊞ H e) ⊞ (c + C e), differenced in e, in the tangent at y ⊞ c."""
+    space, rng = SPACES["joints"], np.random.default_rng(3)
+    y, shift = point(space, 1, (2,)), tangent(space, 2, (2,)) + 0.3
+    H, C = rng.standard_normal((2, space.n, 4))
+    slope_H, slope_C = carry(space, shift, H, C)
+    value = space.plus(y, shift)
+    for column, e in enumerate(1e-6 * np.eye(4)):
+        for slope, moved in (
+            (slope_H, lambda s, e=e: space.plus(space.plus(y, s * H @ e), shift)),
+            (slope_C, lambda s, e=e: space.plus(y, shift + s * C @ e)),
+        ):
+            ahead, behind = (space.minus(moved(s), value) for s in (1, -1))
+            expected = (ahead - behind) / 2e-6
+            np.testing.assert_allclose(slope[..., column], expected, atol=1e-7)
 
 
 def test_broadcasting_over_leading_axes():
