@@ -12,10 +12,13 @@ from estbench.experiment.setup import Setup
 from estbench.models.differences import Differences
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
+from estbench.randomness import streams
 from estbench.robots import mjcf
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import sensor_name, sensor_space, state_space
 from estbench.robots.model import MujocoModel, SensorChannel
+from estbench.sensors.timing import Timing
+from estbench.shapes import Ints
 from estbench.simulation import sources
 from estbench.simulation.sources import Trajectory
 
@@ -285,3 +288,18 @@ def driven(prepared: Setup, runs: Sequence[int]) -> sources.Live:
         prepared.simulator(runs), prepared.instants, prepared.controller(runs),
         prepared.plant.period,
     )  # fmt: skip
+
+
+def sampled(timing: Timing, seed: int, runs: Sequence[int], name: str, last: int) -> Ints:
+    """Ticks `(reading, run)` at which each run takes the readings that are due up to `last`."""
+    due = timing.due(last)[:, None] + np.zeros(len(runs), np.int64)
+    if not timing.jitter:
+        return due
+    uniform = streams.uniforms(seed, runs, f"sensor:{name}:jitter", len(due), 1)[..., 0]
+    return timing.sampling_tick(due, uniform)
+
+
+def arrived(timing: Timing, taken: Ints, seed: int, runs: Sequence[int], name: str) -> Ints:
+    """Ticks `(reading, run)` at which readings arrive that were taken so."""
+    normal = streams.normals(seed, runs, f"sensor:{name}:latency", len(taken), 1)[..., 0]
+    return timing.arrival_tick(taken, np.arange(len(taken))[:, None], normal)

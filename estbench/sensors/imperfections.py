@@ -4,7 +4,7 @@ In order: scale factor and misalignment, bias and drift, white noise with outlie
 quantization, deadband, stuck-at faults, dropout. Everything lives in the reading's tangent, so an
 attitude is biased by a rotation. The random numbers are handed in (`Draws`), so that the same
 functions serve a recorded batch and a live environment: `advance` is what happens to the sensor
-whatever it looks at, `respond` what it then says; `deliver` is both.
+whatever it looks at, `respond` what it then says.
 
 Sources: Gauss-Markov drift and its discretization: Gelb 1974, sec. 3.8; bursts: Gilbert 1960.
 """
@@ -132,31 +132,6 @@ def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> Stat
     bias = imperfections.bias * draws["bias"] if "bias" in draws else zero
     drift = imperfections.drift * draws["drift0"] if "drift0" in draws else zero
     return State(bias, drift, zero, gain, None, no, no)
-
-
-def deliver(
-    imperfections: Imperfections,
-    space: Manifold,
-    clean: Array,
-    noise: Array,
-    state: State,
-    draws: Draws,
-    time: float,
-) -> tuple[Array, Mask | None, State]:
-    """One reading: what is delivered `(run, ny)`, where it arrives `(run,)` (None: all), memory.
-
-    Args:
-        imperfections: the sensor's imperfections.
-        space: the manifold of its readings.
-        clean: noise-free readings `(run, ny)`.
-        noise: white noise v `(run, m)`.
-        state: from `start` or the reading before.
-        draws: as `Imperfections.normals` and `uniforms` ask.
-        time: of this reading, s.
-    """
-    state = advance(imperfections, noise, state, draws, time)
-    y, state = respond(imperfections, space, clean, state)
-    return y, ~state.lost if imperfections.dropout else None, state
 
 
 def advance(

@@ -6,8 +6,9 @@ from estbench.errors import ScenarioError
 from estbench.experiment import setup
 from estbench.robots.library import engine
 from estbench.scenario.load import load
-from estbench.sensors.sampling import Readings
+from estbench.sensors.sampling import Sampler
 from estbench.sensors.timing import MjcfTiming, Timing, instants
+from tests.helpers import arrived, sampled
 
 # When
 
@@ -27,7 +28,7 @@ def test_an_uneven_rhythm_takes_the_first_step_that_is_not_earlier():
 
 def test_jitter_is_uniform_within_its_bound():
     timing = Timing(20, jitter=3)
-    off = timing.sampled(5, range(50), "a", 20 * 200) - timing.due(20 * 200)[:, None]
+    off = sampled(timing, 5, range(50), "a", 20 * 200) - timing.due(20 * 200)[:, None]
     assert off.shape == (200, 50)
     counts = np.unique(off, return_counts=True)
     assert counts[0].tolist() == [-3, -2, -1, 0, 1, 2, 3]
@@ -37,18 +38,18 @@ def test_jitter_is_uniform_within_its_bound():
 
 
 def test_latency_is_rounded_up_to_the_next_step_and_never_negative():
-    sampled = Timing(4).sampled(0, range(3), "a", 40)
+    taken = sampled(Timing(4), 0, range(3), "a", 40)
     for latency, steps in ((0.0, 0), (0.2, 1), (1.0, 1), (2.5, 3), (16.0, 16)):
-        arrived = Timing(4, latency=latency).arrived(sampled, 0, range(3), "a", 40)
-        np.testing.assert_array_equal(arrived, sampled + steps)
+        arrives = arrived(Timing(4, latency=latency), taken, 0, range(3), "a")
+        np.testing.assert_array_equal(arrives, taken + steps)
     timing = Timing(4, latency=1.0, latency_std=2.0)
-    assert (timing.arrived(sampled, 0, range(3), "a", 40) >= sampled).all()
+    assert (arrived(timing, taken, 0, range(3), "a") >= taken).all()
 
 
 def test_random_latency_has_its_mean_and_standard_deviation():
     timing = Timing(1, latency=100.0, latency_std=5.0)
-    sampled = timing.sampled(1, range(40), "a", 500)
-    late = timing.arrived(sampled, 1, range(40), "a", 500) - sampled
+    taken = sampled(timing, 1, range(40), "a", 500)
+    late = arrived(timing, taken, 1, range(40), "a") - taken
     n = late.size
     # Rounding up adds half a step and a variance of 1/12. Six standard deviations: 2e-9.
     assert abs(late.mean() - 100.5) < 6 * 5 / np.sqrt(n)
@@ -59,13 +60,12 @@ def test_random_latency_has_its_mean_and_standard_deviation():
 
 def test_each_run_has_its_own_jitter_and_latency_whatever_its_company():
     timing = Timing(10, jitter=4, latency=3.0, latency_std=2.0)
-    together = timing.sampled(1, range(6), "a", 100)
-    late = timing.arrived(together, 1, range(6), "a", 100)
+    together = sampled(timing, 1, range(6), "a", 100)
+    late = arrived(timing, together, 1, range(6), "a")
     for run in range(6):
-        alone = timing.sampled(1, [run], "a", 100)
+        alone = sampled(timing, 1, [run], "a", 100)
         np.testing.assert_array_equal(alone[:, 0], together[:, run])
-        arrived = timing.arrived(alone, 1, [run], "a", 100)
-        np.testing.assert_array_equal(arrived[:, 0], late[:, run])
+        np.testing.assert_array_equal(arrived(timing, alone, 1, [run], "a")[:, 0], late[:, run])
     assert (late[:, 0] != late[:, 1]).any()
 
 
@@ -163,16 +163,16 @@ def test_the_mjcf_timing_is_mujocos(native, tmp_path):
     overrides = ["initial.std=1e-6", f"simulation.duration={steps * T}"]
     prepared = setup.build(load(tmp_path / "m.xml", overrides))
     (channel,) = prepared.channels
-    readings = Readings(channel, prepared.instants, 0, range(2))
+    sampler = Sampler(channel, 2, steps)
+    sampler.start(np.arange(2), 0, range(2), 0)
     newest, shown = 0, []
     assert [i.tick for i in prepared.instants] == list(range(1, steps + 1))
-    for k, instant in enumerate(prepared.instants):
-        clean = np.full((2, 1), float(instant.tick)) if readings.takes(k) else None
-        for delivery in readings.at(k, clean):
+    for tick in range(1, steps + 1):
+        clean = np.full((2, 1), float(tick)) if sampler.takes(tick) else None
+        for delivery in sampler.at(tick, clean):
             assert delivery.mask is None
-            tick = prepared.instants[delivery.taken].tick
-            np.testing.assert_allclose(delivery.y, tick, atol=1e-6)
-            newest = max(newest, tick)
+            np.testing.assert_allclose(delivery.y, delivery.taken, atol=1e-6)
+            newest = max(newest, delivery.taken)
         shown.append(newest)
     assert shown == shown_by_mujoco(mjcf(native), steps)
 
