@@ -17,8 +17,10 @@ from estbench.robots import mjcf
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import sensor_name, sensor_space, state_space
 from estbench.robots.model import MujocoModel, SensorChannel
+from estbench.sensors.channel import Channel
+from estbench.sensors.sampling import Sampler
 from estbench.sensors.timing import Timing
-from estbench.shapes import Ints
+from estbench.shapes import Array, Ints
 from estbench.simulation import sources
 from estbench.simulation.sources import Trajectory
 
@@ -303,3 +305,11 @@ def arrived(timing: Timing, taken: Ints, seed: int, runs: Sequence[int], name: s
     """Ticks `(reading, run)` at which readings arrive that were taken so."""
     normal = streams.normals(seed, runs, f"sensor:{name}:latency", len(taken), 1)[..., 0]
     return timing.arrival_tick(taken, np.arange(len(taken))[:, None], normal)
+
+
+def at_zero(channel: Channel, seed: int, runs: Sequence[int], count: int) -> Array:
+    """Readings `(reading, run, m)` of some runs where the true reading is zero."""
+    sampler, zero = Sampler(channel, len(runs)), np.zeros((len(runs), channel.space.nx))
+    sampler.start(np.arange(len(runs)), seed, runs, 0)
+    due = channel.timing.due_tick(np.arange(count)).tolist()
+    return np.array([sampler.at(tick, zero)[0].y for tick in due])

@@ -261,3 +261,124 @@ def test_zero_imperfections_are_no_imperfections(tmp_path):
     prepared = exact(tmp_path / "m.xml")
     assert all(c.imperfections is None and c.timing.punctual for c in prepared.channels
                if not zoo_model("sensors").sensor(c.name).cutoff[0])  # fmt: skip
+
+
+# Rows on clocks of their own
+
+STREAKS = {"dropout": 0.3, "dropout_length": 2.5, "stuck": 0.2, "stuck_length": 3.0}
+ROWS_APART = {
+    "punctual": {"rate": 125},
+    "phase": {"rate": 25, "phase": 0.012},
+    "latency": {"rate": 62.5, "latency": 0.03},
+    "jitter": {"rate": 25, "jitter": 0.016},
+    "random latency": {"latency": 0.02, "latency_std": 0.03},
+    "jitter, random latency": {"rate": 50, "jitter": 0.008, "latency": 0.01, "latency_std": 0.02},
+    "gaps and faults": {"rate": 125, **STREAKS},
+    "all": {"rate": 50, "jitter": 0.008, "latency_std": 0.02, "bias": 0.1, "bias_walk": 0.2,
+            "drift": 0.1, "drift_time": 0.1, "scale_factor": 0.01, "outlier_probability": 0.2,
+            **STREAKS},
+    "schedule": {"rate": 125, "schedule": [(0.06, 2.0), (0.1, 5.0), (9.0, 1.0)]},
+    "schedule, jitter": {"rate": 25, "jitter": 0.016, "schedule": [(0.12, 2.0), (9.0, 5.0)]},
+}  # fmt: skip
+# tick -> the rows that begin there, and their runs; some while readings are on their way.
+BEGINNINGS = {
+    0: ([0, 1, 2, 3], [0, 1, 2, 3]), 7: ([2], [4]), 10: ([0, 3], [5, 6]), 11: ([1], [7]),
+    30: ([3, 2], [0, 8]), 33: ([2], [9]), 90: ([0, 1, 2, 3], [1, 4, 9, 3]),
+}  # fmt: skip
+LAST = 140
+
+
+def true_reading(elapsed, runs):
+    return np.array([[1000.0 * e + run] for e, run in zip(elapsed, runs)])
+
+
+def sampler_of(section, rows, last=None):
+    model = zoo_model("joints")
+    sections = {"lift_encoder": ChannelSection(**{"noise": 0.5, **section})}
+    (channel,), _ = sensors.build(model, sections, ["lift_encoder"], 1, 9.0)
+    return Sampler(channel, rows, last)
+
+
+def heard(deliveries, tick, began, runs):
+    """(run, what it hears by its own clock: arrival, taken, due, reading), in order."""
+    for d in deliveries:
+        for r, due, y in unpacked(d, len(runs)):
+            yield r, (tick - began[r], d.taken - began[r], due - began[r], y)
+
+
+def alone(section, run, ticks, last=None):
+    """What a run hears in its first ticks."""
+    sampler, out = sampler_of(section, 1, last), []
+    sampler.start(np.arange(1), 3, [run], 0)
+    for tick in range(1, ticks + 1):
+        clean = true_reading([tick], [run]) if sampler.takes(tick) else None
+        out += [told for _, told in heard(sampler.at(tick, clean), tick, [0], [run])]
+    return out
+
+
+@pytest.mark.parametrize("split", [False, True], ids=["all", "some, then the others"])
+@pytest.mark.parametrize("name", ROWS_APART)
+def test_rows_that_begin_at_different_ticks_hear_what_they_hear_alone(name, split):
+    """With `split` the rows go on in two groups at each tick, as those of two clocks do."""
+    section, rows = ROWS_APART[name], 4
+    rng = np.random.default_rng(0)
+    sampler = sampler_of(section, rows)
+    began, runs = np.zeros(rows, int), np.zeros(rows, int)
+    told = [[] for _ in range(rows)]
+    compared, lost_on_the_way = 0, 0
+
+    def compare(row, now):
+        nonlocal compared, lost_on_the_way
+        expected = alone(section, runs[row], now - began[row])
+        assert told[row] == expected
+        compared += len(expected)
+        later = alone(section, runs[row], now - began[row] + 40)
+        lost_on_the_way += sum(taken <= now - began[row] < at for at, taken, *_ in later)
+        told[row] = []
+
+    for tick in range(LAST + 1):
+        if tick:
+            groups = [None]
+            if split:
+                mask = rng.random(rows) < 0.5
+                groups = [g for g in (mask, ~mask) if g.any()]
+            for moved in groups:
+                true = true_reading(tick - began, runs)
+                arrived = sampler.at(tick, true if sampler.takes(tick) else None, moved)
+                for row, heard_ in heard(arrived, tick, began, runs):
+                    assert moved is None or moved[row]
+                    told[row].append(heard_)
+        if tick in BEGINNINGS:
+            here, new = BEGINNINGS[tick]
+            if tick:
+                for row in here:
+                    compare(row, tick)
+            sampler.start(np.array(here), 3, new, tick)
+            began[here], runs[here] = tick, new
+    for row in range(rows):
+        compare(row, LAST)
+    assert compared > 40
+    assert (lost_on_the_way > 0) == any(k.startswith("latency") for k in section)
+
+
+@pytest.mark.parametrize("name", ROWS_APART)
+def test_a_run_hears_the_same_whether_its_end_is_known_or_not(name):
+    section = ROWS_APART[name]
+    known = alone(section, 5, 60, last=60)
+    assert known
+    assert known == [told for told in alone(section, 5, 60) if told[2] <= 60]
+
+
+def test_a_row_that_has_not_moved_hears_it_later():
+    sampler = sampler_of({"rate": 125, "latency": 0.008}, 2)  # every 2 ticks, 2 ticks late
+    sampler.start(np.arange(2), 3, [0, 1], 0)
+    first, both = np.array([True, False]), np.ones(2, bool)
+    arrivals = []
+    for tick in range(1, 7):
+        moved = first if tick in (4, 5) else both
+        clean = np.zeros((2, 1)) if sampler.takes(tick) else None
+        arrivals += [
+            (tick, r, d.taken) for d in sampler.at(tick, clean, moved) for r, *_ in unpacked(d, 2)
+        ]
+    assert [a for a in arrivals if a[1] == 0] == [(4, 0, 2), (6, 0, 4)]
+    assert [a for a in arrivals if a[1] == 1] == [(6, 1, 2)]

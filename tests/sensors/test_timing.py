@@ -7,7 +7,7 @@ from estbench.experiment import setup
 from estbench.robots.library import engine
 from estbench.scenario.load import load
 from estbench.sensors.sampling import Sampler
-from estbench.sensors.timing import MjcfTiming, Timing, instants
+from estbench.sensors.timing import Instant, MjcfTiming, Schedule, Timing, instants
 from tests.helpers import arrived, sampled
 
 # When
@@ -85,6 +85,69 @@ def test_jittered_instants_are_instants_and_jitter_is_less_than_half_a_period():
     assert [i.tick for i in found if i.channels] == [5, 10, 15, 20]
     with pytest.raises(ScenarioError, match=r"channels\.a\.jitter is 0\.03 s; .*half the period"):
         instants([("a", Timing(6, jitter=3, timestep=0.01))], 0.01, 1, 0.2)
+
+
+RHYTHMS = {
+    "plain": [Timing(4)],
+    "between": [Timing(3), Timing(10, phase=7)],
+    "later than the end": [Timing(500)],
+    "jitter": [Timing(5, jitter=2), Timing(9, phase=1, jitter=3)],
+    "fractional": [Timing(2, fractional=(2.5, 2.5)), Timing(3, fractional=(0.75, 10 / 3))],
+    "all": [Timing(7, jitter=3, latency=4.0), Timing(2, fractional=(1.0, 2.25)), Timing(6)],
+}
+
+
+def counted(named, frame_skip, last):
+    """The instants of a run, found tick by tick."""
+    times = {name: timing.due(last).tolist() for name, timing in named}
+    around = {
+        due + off
+        for name, timing in named
+        for due in times[name]
+        for off in range(-timing.jitter, timing.jitter + 1)
+    }
+    out, before = [], 0
+    for tick in range(1, last + 1):
+        if tick % frame_skip and tick not in around:
+            continue
+        names = tuple(name for name, _ in named if tick in times[name])
+        control = before % frame_skip == 0
+        out.append(Instant(before * 0.01, tick * 0.01, tick - before, names, control, tick))
+        before = tick
+    return out
+
+
+@pytest.mark.parametrize("rhythm", RHYTHMS)
+@pytest.mark.parametrize("frame_skip", [1, 3, 4])
+def test_the_control_periods_of_a_schedule_are_the_instants(rhythm, frame_skip):
+    named = [(f"c{i}", timing) for i, timing in enumerate(RHYTHMS[rhythm])]
+    count = 30
+    last = count * frame_skip
+    expected = counted(named, frame_skip, last)
+    assert instants(named, 0.01, frame_skip, last * 0.01) == expected
+    ended = Schedule(named, 0.01, frame_skip, last)
+    assert [i for k in range(count) for i in ended.period(k)] == expected
+    # Nothing is due after the end: a step is divided by the jitter of its last readings at most.
+    assert not any(i.channels for i in ended.period(count))
+    assert [len(ended.period(count + k)) for k in (8, 9)] == [1, 1]
+    # Without an end: as in a longer run, in which the last periods are no different.
+    endless = Schedule(named, 0.01, frame_skip)
+    longer = counted(named, frame_skip, 2 * last)
+    found = [i for k in range(count) for i in endless.period(k)]
+    assert found == [i for i in longer if i.tick <= last]
+    # Where it says that no reading falls between the steps, none does.
+    assert not endless.plain or all(i.nstep == frame_skip for i in longer)
+    assert endless.plain or frame_skip == 1 or len(found) > count or rhythm == "later than the end"
+
+
+def test_a_schedule_forgets_and_makes_anew(monkeypatch):
+    monkeypatch.setattr("estbench.sensors.timing._REMEMBERED", 3)
+    named = [("a", Timing(3, jitter=1)), ("b", Timing(2, fractional=(2.5, 2.5)))]
+    schedule, other = (Schedule(named, 0.01, 4) for _ in range(2))
+    first = [schedule.period(k) for k in range(10)]
+    assert [other.period(k) for k in reversed(range(10))] == first[::-1]
+    assert [schedule.period(k) for k in range(10)] == first
+    assert len(schedule._known) <= 3
 
 
 def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
