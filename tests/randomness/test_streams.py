@@ -79,6 +79,7 @@ def test_streams_are_those_of_numpys_seed_sequence(seed):
 
 def recorded(overrides, runs=range(3)):
     """The truth of some runs, and each channel's readings `(instant, run, ny)`."""
+    overrides = [*overrides, "control={kind='sine', amplitude=0.4}"]  # feedback would round
     prepared = setup.build(experiment.resolve("cartpole", duration=0.2, overrides=overrides))
     trajectory = record(driven(prepared, runs))
     named = [{d.channel: d.y for d in arrived} for arrived in trajectory.deliveries]
