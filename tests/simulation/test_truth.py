@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from estbench.experiment import setup
+from estbench.montecarlo import run as experiment
 from estbench.randomness import streams
 from estbench.robots import backend, parameters
 from estbench.robots.controls import ControlRange
@@ -20,7 +22,7 @@ from estbench.sensors.timing import Instant
 from estbench.shapes import Array
 from estbench.simulation import sources, truth
 from estbench.spaces.manifold import Manifold
-from tests.helpers import random_states, zoo_model
+from tests.helpers import Fleet, random_states, zoo_model
 
 SEED = 7
 
@@ -338,3 +340,44 @@ def test_the_controller_is_asked_once_a_filter_step_and_sees_the_true_state():
     np.testing.assert_allclose([t for _, t, _ in calls], frame * np.arange(5))
     np.testing.assert_array_equal([x for *_, x in calls], trajectory.x[0:-1:2])
     np.testing.assert_array_equal(trajectory.u[:, 0, 0], np.repeat(np.arange(5.0), 2))
+
+
+# Rows that begin at different times
+
+
+@pytest.mark.parametrize("kind", ["additive", "force", "actuator"])
+@pytest.mark.parametrize("timed", [False, True])
+def test_rows_that_begin_at_different_times_are_the_runs_alone(kind, timed):
+    overrides = [
+        f"process_noise={{kind='{kind}', density=0.01, schedule=[[0.04, 1.0], [9.0, 4.0]]}}",
+        "channels.gyro={rate=50.0, jitter=0.002, latency_std=0.01}",
+        "channels.accel={dropout=0.3, schedule=[[0.03, 1.0], [9.0, 3.0]]}",
+        "model.timestep=0.002", "model.frame_skip=5",
+        "truth.draw.'body_mass.pole'.relative_std=0.1",
+    ]  # fmt: skip
+    prepared = setup.build(experiment.resolve("cartpole_imu", duration=0.3, overrides=overrides))
+    beginnings = {0: ([0, 1, 2], [0, 1, 2]), 3: ([1], [3]), 5: ([2, 0], [4, 5]), 6: ([1], [0])}
+
+    def followed(fleet):
+        """(row, run, ticks since the start, x and what arrives)."""
+        for period in range(12):
+            fleet.begin(period)
+            for event, _, arrived in fleet.period():
+                elapsed = event.tick - fleet.simulator.clocks.tick + fleet.simulator.clocks.elapsed
+                for row in range(fleet.rows) if event.rows is None else np.flatnonzero(event.rows):
+                    said = [fleet.simulator.x[row].tolist()]
+                    for d in arrived:
+                        if d.mask is None or d.mask[row]:
+                            ago = event.tick - d.taken
+                            said.append((d.channel, ago, d.y[row].tolist()))
+                    yield row, int(fleet.runs[row]), int(elapsed[row]), said
+
+    alone = {
+        run: {ticks: said for *_, ticks, said in followed(Fleet.alone(prepared, run))}
+        for run in range(6)
+    }
+    compared = 0
+    for row, run, ticks, said in followed(Fleet(prepared, 3, beginnings, timed)):
+        assert said == alone[run][ticks], f"row {row}, run {run}, tick {ticks}"
+        compared += len(said)
+    assert compared > 100
