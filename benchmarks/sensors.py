@@ -19,11 +19,11 @@ import numpy as np
 
 from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
-from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.batch import traced
 from estbench.robots.library import engine
-from estbench.simulation.truth import simulate
+from estbench.simulation.sources import Live, Recorded, Trajectory, record
 
 EVERYTHING = (
     "bias=0.01", "bias_walk=0.001", "drift=0.01", "scale_factor=0.001", "quantization=0.001",
@@ -58,6 +58,12 @@ CASES = {
 """Name -> overrides of both, and those of the imperfect sensors."""
 
 
+def simulated(prepared: setup.Setup, runs: Sequence[int]) -> Trajectory:
+    """The truth of some runs, and what was read."""
+    controller, period = prepared.controller(runs), prepared.plant.period
+    return record(Live(prepared.simulator(runs), prepared.instants, controller, period))
+
+
 def seconds(overrides: Sequence[str], estimators: Sequence[str], count: int) -> float:
     """Processor time of truth, sensors and estimators on all runs."""
     prepared = setup.build(experiment.resolve("cartpole", estimators, overrides=overrides))
@@ -69,8 +75,7 @@ def seconds(overrides: Sequence[str], estimators: Sequence[str], count: int) -> 
                 for _ in traced(prepared, runs):
                     pass
             else:
-                period = prepared.plant.period
-                simulate(prepared.simulator(runs), prepared.controller(runs), period)
+                simulated(prepared, runs)
     return time.process_time() - began
 
 
@@ -110,8 +115,7 @@ def delays() -> None:
         runs = range(100)
         prior = np.tile(prepared.mean, (100, 1)), np.tile(prepared.cov, (100, 1, 1))
         with engine():
-            period = prepared.plant.period
-            trajectory = simulate(prepared.simulator(runs), prepared.controller(runs), period)
+            trajectory = simulated(prepared, runs)
             Counting.predicts = 0
             began = time.process_time()
             run_filter(

@@ -1,6 +1,7 @@
 """Models and estimators to parametrize over."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -12,12 +13,19 @@ from estbench.experiment.setup import Setup
 from estbench.models.differences import Differences
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel
+from estbench.randomness import streams
 from estbench.robots import mjcf
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.layout import sensor_name, sensor_space, state_space
 from estbench.robots.model import MujocoModel, SensorChannel
+from estbench.sensors.channel import Channel
+from estbench.sensors.clock import Event
+from estbench.sensors.sampling import Delivery, Sampler
+from estbench.sensors.timing import Timing
+from estbench.shapes import Array, Ints
 from estbench.simulation import sources
 from estbench.simulation.sources import Trajectory
+from estbench.simulation.truth import Simulator
 
 SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
 CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
@@ -285,3 +293,77 @@ def driven(prepared: Setup, runs: Sequence[int]) -> sources.Live:
         prepared.simulator(runs), prepared.instants, prepared.controller(runs),
         prepared.plant.period,
     )  # fmt: skip
+
+
+def sampled(timing: Timing, seed: int, runs: Sequence[int], name: str, last: int) -> Ints:
+    """Ticks `(reading, run)` at which each run takes the readings that are due up to `last`."""
+    due = timing.due(last)[:, None] + np.zeros(len(runs), np.int64)
+    if not timing.jitter:
+        return due
+    uniform = streams.uniforms(seed, runs, f"sensor:{name}:jitter", len(due), 1)[..., 0]
+    return timing.sampling_tick(due, uniform)
+
+
+def arrived(timing: Timing, taken: Ints, seed: int, runs: Sequence[int], name: str) -> Ints:
+    """Ticks `(reading, run)` at which readings arrive that were taken so."""
+    normal = streams.normals(seed, runs, f"sensor:{name}:latency", len(taken), 1)[..., 0]
+    return timing.arrival_tick(taken, np.arange(len(taken))[:, None], normal)
+
+
+def at_zero(channel: Channel, seed: int, runs: Sequence[int], count: int) -> Array:
+    """Readings `(reading, run, m)` of some runs where the true reading is zero."""
+    sampler, zero = Sampler(channel, len(runs)), np.zeros((len(runs), channel.space.nx))
+    sampler.start(np.arange(len(runs)), seed, runs, 0)
+    due = channel.timing.due_tick(np.arange(count)).tolist()
+    return np.array([sampler.at(tick, zero)[0].y for tick in due])
+
+
+@dataclass(eq=False)
+class Fleet:
+    """Robots that begin at different times, under controls by their own clocks and runs.
+
+    Attributes:
+        prepared: the scenario.
+        rows: how many robots.
+        beginnings: control period -> the rows that begin there, and their runs.
+        timed: whether only rows of one clock go on together.
+        runs: the run that each row is in.
+    """
+
+    prepared: Setup
+    rows: int
+    beginnings: Mapping[int, tuple[Sequence[int], Sequence[int]]]
+    timed: bool = False
+    simulator: Simulator = field(init=False)
+    runs: Ints = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.simulator = self.prepared.robots(self.rows, timed=self.timed)
+        self.runs = np.zeros(self.rows, np.int64)
+
+    @classmethod
+    def alone(cls, prepared: Setup, run: int) -> "Fleet":
+        """One run by itself."""
+        return cls(prepared, 1, {0: ([0], [run])})
+
+    @property
+    def elapsed(self) -> Ints:
+        """Control periods since each row began."""
+        return self.simulator.clocks.elapsed // self.prepared.plant.nstep
+
+    def begin(self, period: int) -> tuple[Ints, Ints] | None:
+        """The rows that begin before a control period, and their runs."""
+        if period not in self.beginnings:
+            return None
+        rows, runs = (np.array(each) for each in self.beginnings[period])
+        seed, u0 = self.prepared.scenario.simulation.seed, self.prepared.plant.u0
+        self.simulator.start(rows, seed, runs.tolist(), np.repeat(u0[None], self.rows, axis=0))
+        self.runs[rows] = runs
+        return rows, runs
+
+    def period(self) -> Iterator[tuple[Event, Array, list[Delivery]]]:
+        """The events of a control period: each with the controls held and what arrives."""
+        phase = 0.7 * self.elapsed + self.runs
+        u = 0.3 * np.sin(phase[:, None] + np.arange(self.prepared.plant.model.nu))
+        for event in self.simulator.clocks.period():
+            yield event, u, self.simulator.advance(event, u)

@@ -36,8 +36,9 @@ class LatestInnovations:
         self._slots = {name: slice(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
         self._every = tuple(spaces)
         self.rows, self._width, self._revised = rows, stops[-1], revised
-        self._fused: dict[int, tuple[Array, Ints]] = {}  # event -> NIS and dof so far
-        self._before: dict[int, tuple[Array, Ints]] = {}  # as they were before this step
+        # Event -> NIS, dof and how often each component was fused, so far and before this step.
+        self._fused: dict[int, tuple[Array, Ints, Ints]] = {}
+        self._before: dict[int, tuple[Array, Ints, Ints]] = {}
         self._updates: list[_Update] = []
         self.begin()
 
@@ -50,9 +51,12 @@ class LatestInnovations:
         """Some rows are updated anew at the k-th event."""
         if not self._revised:
             return
-        nis, dof = self._fused.setdefault(k, (np.zeros(self.rows), np.zeros(self.rows, np.int64)))
-        self._before.setdefault(k, (nis.copy(), dof.copy()))
-        nis[rows], dof[rows] = 0.0, 0
+        if k not in self._fused:
+            count = np.zeros((self.rows, self._width), np.int64)
+            self._fused[k] = np.zeros(self.rows), np.zeros(self.rows, np.int64), count
+        nis, dof, count = self._fused[k]
+        self._before.setdefault(k, (nis.copy(), dof.copy(), count.copy()))
+        nis[rows], dof[rows], count[rows] = 0.0, 0, 0
 
     def put(
         self,
@@ -69,9 +73,15 @@ class LatestInnovations:
             self.dof[rows] += innovation.dof
             self._show(channels, innovation, mask, rows)
             return
-        nis, dof = self._fused[k]
+        nis, dof, count = self._fused[k]
         nis[rows] += innovation.nis
         dof[rows] += innovation.dof
+        start = 0
+        for name in channels:
+            slot = self._slots[name]
+            width = slot.stop - slot.start
+            count[rows, slot] += 1 if mask is None else mask[:, start : start + width]
+            start += width
         self._updates.append((k, channels, innovation, mask, rows))
 
     def settle(self, oldest: int) -> None:
@@ -79,16 +89,18 @@ class LatestInnovations:
         if not self._revised:
             return
         new = {}
-        for k, (nis, dof) in self._before.items():
-            now, count = self._fused[k]
-            new[k] = count > dof
-            self.nis += np.where(new[k], now - nis, 0.0)
-            self.dof += np.where(new[k], count - dof, 0)
+        for k, before in self._before.items():
+            nis, dof, count = (now - then for now, then in zip(self._fused[k], before))
+            more = dof > 0
+            self.nis += np.where(more, nis, 0.0)
+            self.dof += np.where(more, dof, 0)
+            new[k] = more[:, None] & (count > 0)
         for k, channels, innovation, mask, rows in self._updates:
-            came = new[k][rows]
+            # What is fused again beside a late reading did not come in this step.
+            parts = [new[k][rows, self._slots[name]] for name in channels]
+            came = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
             if came.any():
-                shown = came[:, None] if mask is None else came[:, None] & mask
-                self._show(channels, innovation, shown, rows)
+                self._show(channels, innovation, came if mask is None else came & mask, rows)
         self._before.clear()
         self._updates.clear()
         for k in [k for k in self._fused if k < oldest]:

@@ -184,20 +184,16 @@ class LiveFilter:
     def _advance(
         self, cohort: _Cohort, event: Event, u: Array, arrived: Sequence[Delivery]
     ) -> None:
-        rows = cohort.rows
-        if rows is not None:
-            going = cohort.here if event.rows is None else cohort.here & event.rows[rows]
+        here, rows = cohort.here, cohort.rows
+        if rows is not None or not here.all():
+            rows = np.arange(self.rows) if rows is None else rows
+            going = here if event.rows is None else here & event.rows[rows]
             if not going.any():
                 return
-            u, event = u[rows], replace(event, rows=None if going.all() else going)
+            # Those that have left go along: nobody looks, and the belief need not be divided.
+            together = not (here & ~going).any()
+            u, event = u[rows], replace(event, rows=None if together else going)
             arrived = [part for d in arrived if (part := _of(d, rows, going)) is not None]
-        elif not cohort.here.all():
-            going = cohort.here if event.rows is None else cohort.here & event.rows
-            if not going.any():
-                return
-            event = replace(event, rows=going)
-            every = np.arange(self.rows)
-            arrived = [part for d in arrived if (part := _of(d, every, going)) is not None]
         oldest = cohort.fusion.step(event, u, arrived)
         cohort.log.settle(oldest)
 

@@ -14,7 +14,7 @@ from estbench.errors import EstbenchError, MissingExtraError
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import ChannelDescription
-from estbench.sensors.sampling import Readings
+from estbench.sensors.sampling import Sampler
 from estbench.shapes import Array
 
 
@@ -110,11 +110,11 @@ def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> 
         )
     named = [(channel.name, channel.timing)]
     step = channel.timing.timestep
-    instants = timing.instants(named, step, channel.timing.period, duration)
-    readings = Readings(channel, instants, seed, range(runs))
+    last = timing.instants(named, step, channel.timing.period, duration)[-1].tick
+    sampler = Sampler(channel, runs, last)
+    sampler.start(np.arange(runs), seed, range(runs), 0)
     clean = np.zeros((runs, channel.space.n))
-    taken = [k for k in range(len(instants)) if readings.takes(k)]
-    return np.array([readings.at(k, clean)[0].y for k in taken])
+    return np.array([sampler.at(tick, clean)[0].y for tick in channel.timing.due(last).tolist()])
 
 
 def plot(channel: Channel, duration: float = 600.0, seed: int = 0, runs: int = 8) -> Any:

@@ -4,7 +4,7 @@ In order: scale factor and misalignment, bias and drift, white noise with outlie
 quantization, deadband, stuck-at faults, dropout. All errors are tangent vectors of the reading, so
 the bias of an attitude is a rotation. The caller draws the random numbers (`Draws`), so the same
 functions serve batches and environments. `advance` updates the errors and faults, which do not
-depend on the true reading; `respond` applies them to the true reading; `deliver` does both.
+depend on the true reading; `respond` applies them to the true reading.
 
 Sources: Gauss-Markov drift and its discretization: Gelb 1974, sec. 3.8; bursts: Gilbert 1960.
 """
@@ -140,34 +140,6 @@ def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> Stat
     bias = imperfections.bias * draws["bias"] if "bias" in draws else zero
     drift = imperfections.drift * draws["drift0"] if "drift0" in draws else zero
     return State(bias, drift, zero, gain, None, no, no)
-
-
-def deliver(
-    imperfections: Imperfections,
-    space: Manifold,
-    clean: Array,
-    noise: Array,
-    state: State,
-    draws: Draws,
-    time: float,
-) -> tuple[Array, Mask | None, State]:
-    """One reading of all runs.
-
-    Args:
-        imperfections: the sensor's imperfections.
-        space: the manifold of its readings.
-        clean: noise-free readings `(run, ny)`.
-        noise: white noise v `(run, m)`.
-        state: from `start` or the previous reading.
-        draws: random numbers as `Imperfections.normals` and `uniforms` count them.
-        time: time of this reading, s.
-
-    Returns:
-        The reading `(run, ny)`, whether it arrives `(run,)` (None: in all runs), and the state.
-    """
-    state = advance(imperfections, noise, state, draws, time)
-    y, state = respond(imperfections, space, clean, state)
-    return y, ~state.lost if imperfections.dropout else None, state
 
 
 def advance(

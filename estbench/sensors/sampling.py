@@ -152,7 +152,7 @@ class Sampler:
     def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, Ints]:
         """The readings that are due, and the number of each row's."""
         if self._shared is not None and moved is None:
-            due, here, number = self._shared, None, self._number[:1]
+            due, here, number = self._shared, None, self._number[:1].copy()
             y, got = self._read(clean, None, due - int(self._begin[0]))
             self._number += 1
             self._shared = self._upcoming(tick)

@@ -10,11 +10,11 @@ import pytest
 from estbench.estimators import registry
 from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
-from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
-from estbench.simulation.truth import Trajectory
+from estbench.simulation.sources import Recorded, Trajectory
 from tests.helpers import simulated
 
 RUNS = 6
@@ -36,13 +36,26 @@ def recorded(name="quadrotor", *overrides):
     return prepared, simulated(prepared, RUNS)
 
 
+def of_rows(delivery, rows):
+    due, mask = delivery.due, delivery.mask
+    return replace(
+        delivery, due=due if isinstance(due, int) else due[rows], y=delivery.y[rows],
+        mask=None if mask is None else mask[rows],
+    )  # fmt: skip
+
+
+def due(delivery):
+    """The tick at which the readings that come were due: the same for all of them."""
+    (tick,) = set(np.broadcast_to(delivery.due, len(delivery.y))[delivery.mask].ravel().tolist())
+    return tick
+
+
 def run(prepared, trajectory, kind="ekf", rows=slice(None), **delays) -> Any:
     runs = trajectory.x[:, rows].shape[1]
     if rows != slice(None):
         trajectory = Trajectory(
             trajectory.x[:, rows], trajectory.u[:, rows],
-            [[replace(d, y=d.y[rows], mask=None if d.mask is None else d.mask[rows])
-              for d in arrived] for arrived in trajectory.deliveries],
+            [[of_rows(d, rows) for d in arrived] for arrived in trajectory.deliveries],
         )  # fmt: skip
     estimator = registry.create(kind, {}, prepared.model())
     prior = np.tile(prepared.mean, (runs, 1)), np.tile(prepared.cov, (runs, 1, 1))
@@ -57,14 +70,13 @@ def run(prepared, trajectory, kind="ekf", rows=slice(None), **delays) -> Any:
 def retimed(trajectory, latency, silent=0):
     """The trajectory with its readings arriving `latency(channel, instant, runs)` instants late.
 
-    None are taken in the last `silent` instants, so that all arrive.
+    They must be on time in the trajectory. None are taken in the last `silent` instants, so that
+    all arrive.
     """
     count = len(trajectory.deliveries)
     deliveries = [[] for _ in range(count)]
-    for k, arrived in enumerate(trajectory.deliveries):
+    for k, arrived in enumerate(trajectory.deliveries[: count - silent]):
         for d in arrived:
-            if d.taken >= count - silent:
-                continue
             late = latency(d.channel, k, d.y.shape[0])
             mask = np.ones(len(late), bool) if d.mask is None else d.mask
             for steps in np.unique(late[mask]):
@@ -133,11 +145,12 @@ def test_at_any_time_it_is_the_posterior_of_what_has_arrived_by_then(kind):
     prepared, trajectory = recorded()
     late = retimed(trajectory, scattered(9))
     handled = run(prepared, late, kind, window=window(prepared, 20))
+    places = {instant.tick: k for k, instant in enumerate(prepared.instants)}
     for k in (15, 40, 70):
         known = [[] for _ in late.deliveries]
         for arrived in late.deliveries[: k + 1]:
             for d in arrived:
-                known[d.taken].append(d)
+                known[places[d.taken]].append(d)
         then = Trajectory(late.x[: k + 2], late.u[: k + 1], known[: k + 1])
         shorter = replace(prepared, instants=prepared.instants[: k + 1])
         expected = run(shorter, then, kind)
@@ -284,8 +297,8 @@ def test_naive_handling_takes_a_late_reading_for_a_current_one():
     delayed = retimed(trajectory, fixed({"accel": 4}))
     naive = run(prepared, delayed, handling="naive", window=50)
     shifted = [
-        [replace(d, due=k, taken=k) for d in arrived]
-        for k, arrived in enumerate(delayed.deliveries)
+        [replace(d, due=instant.tick, taken=instant.tick) for d in arrived]
+        for instant, arrived in zip(prepared.instants, delayed.deliveries)
     ]
     expected = run(prepared, Trajectory(delayed.x, delayed.u, shifted))
     np.testing.assert_array_equal(naive.mean, expected.mean)
@@ -311,8 +324,8 @@ def test_a_filter_that_knows_the_latency_but_sees_no_timestamp():
     np.testing.assert_array_equal(told.mean, knows.mean)
     wrong = run(prepared, delayed, window=10, believed={"accel": 2})
     shifted = [
-        [replace(d, taken=k - 2) if d.channel == "accel" else d for d in arrived]
-        for k, arrived in enumerate(delayed.deliveries)
+        [replace(d, taken=instant.tick - 2) if d.channel == "accel" else d for d in arrived]
+        for instant, arrived in zip(prepared.instants, delayed.deliveries)
     ]
     expected = run(prepared, Trajectory(delayed.x, delayed.u, shifted), window=10)
     np.testing.assert_array_equal(wrong.mean, expected.mean)
@@ -322,16 +335,16 @@ def test_a_filter_that_knows_the_latency_but_sees_no_timestamp():
 def test_a_reading_with_jitter_carries_the_time_it_was_taken_or_was_due():
     prepared, trajectory = recorded()
     taken = run(prepared, trajectory, window=10)
-    due = run(prepared, trajectory, window=10, nominal=frozenset({"attitude"}))
-    apart = [d for arrived in trajectory.deliveries for d in arrived if d.due != d.taken]
+    planned = run(prepared, trajectory, window=10, nominal=frozenset({"attitude"}))
+    apart = [d for arrived in trajectory.deliveries for d in arrived if due(d) != d.taken]
     assert apart
     assert {d.channel for d in apart} == {"attitude"}
-    np.testing.assert_array_equal(taken.dof.sum(axis=0), due.dof.sum(axis=0))
-    moved = [[replace(d, taken=min(d.due, k)) for d in arrived]
-             for k, arrived in enumerate(trajectory.deliveries)]  # fmt: skip
+    np.testing.assert_array_equal(taken.dof.sum(axis=0), planned.dof.sum(axis=0))
+    moved = [[replace(d, taken=min(due(d), instant.tick)) for d in arrived]
+             for instant, arrived in zip(prepared.instants, trajectory.deliveries)]  # fmt: skip
     expected = run(prepared, Trajectory(trajectory.x, trajectory.u, moved), window=10)
-    np.testing.assert_allclose(due.mean, expected.mean, atol=1e-12)
-    assert np.abs(due.mean - taken.mean).max() > 1e-4
+    np.testing.assert_allclose(planned.mean, expected.mean, atol=1e-12)
+    assert np.abs(planned.mean - taken.mean).max() > 1e-4
 
 
 def test_the_scenario_says_it_all():

@@ -11,12 +11,13 @@ from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators.beliefs import Fault, GaussianEstimator
 from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
-from estbench.inference.event_loop import Live, Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.inference.initialization import WarmStart
 from estbench.montecarlo import run as experiment
 from estbench.randomness import streams
 from estbench.robots.library import engine
-from estbench.simulation.truth import Trajectory
+from estbench.sensors.clock import Event
+from estbench.simulation.sources import Live, Recorded, Trajectory
 from tests.helpers import simulated
 
 RUNS = 6
@@ -128,6 +129,12 @@ def test_stopping_gives_nothing():
 # Feedback from the estimate
 
 
+def steered(prepared, controller):
+    """`RUNS` robots under a controller."""
+    simulator = prepared.simulator(range(RUNS))
+    return Live(simulator, prepared.instants, controller, prepared.plant.period)
+
+
 def test_live_asks_the_controller_with_the_estimate():
     prepared, _ = recorded()
     seen = []
@@ -136,7 +143,7 @@ def test_live_asks_the_controller_with_the_estimate():
         seen.append((k, t, x.copy()))
         return -2.0 * x[:, :1]
 
-    live = Live(prepared.simulator(range(RUNS)), controller, prepared.plant.period)
+    live = steered(prepared, controller)
     with engine():
         traces = run_filter(
             EKF(prepared.model()), prepared.space, prior(prepared), live, prepared.channel_spaces
@@ -145,12 +152,14 @@ def test_live_asks_the_controller_with_the_estimate():
     np.testing.assert_allclose([t for _, t, _ in seen], prepared.times[:-1])
     np.testing.assert_array_equal([x for *_, x in seen], traces.mean[:-1])
     # The truth moved under that control, with the noise it would have had anyway.
-    simulator, x = prepared.simulator(range(RUNS)), traces.truth[0]
-    np.testing.assert_array_equal(x, recorded()[1].x[0])
+    simulator = prepared.simulator(range(RUNS))
+    np.testing.assert_array_equal(simulator.x, traces.truth[0])
+    np.testing.assert_array_equal(simulator.x, recorded()[1].x[0])
     with engine():
-        for k in range(30):
-            x, _ = simulator.step(k, x, -2.0 * traces.mean[k][:, :1])
-            np.testing.assert_array_equal(x, traces.truth[k + 1])
+        for k, instant in enumerate(prepared.instants):
+            simulator.advance(Event(instant.tick, instant), -2.0 * traces.mean[k][:, :1])
+            np.testing.assert_array_equal(simulator.x, traces.truth[k + 1])
+    assert k == 29
 
 
 def test_live_control_is_held_between_filter_steps():
@@ -161,7 +170,7 @@ def test_live_control_is_held_between_filter_steps():
         asked.append(k)
         return np.full((RUNS, 1), float(k))
 
-    live = Live(prepared.simulator(range(RUNS)), controller, prepared.plant.period)
+    live = steered(prepared, controller)
     held = [live.control(k, live.x0)[0, 0] for k in range(9)]
     assert held == [0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert asked == [0, 1, 2]
@@ -175,7 +184,7 @@ def test_live_never_shows_the_controller_a_failed_estimate():
         seen.append(x.copy())
         return np.zeros((RUNS, 1))
 
-    live = Live(prepared.simulator(range(RUNS)), controller, prepared.plant.period)
+    live = steered(prepared, controller)
     broken = Sabotage(prepared.model(), 4, lambda b: b.mean.__setitem__(2, np.nan))
     with engine():
         traces = run_filter(broken, prepared.space, prior(prepared), live, prepared.channel_spaces)

@@ -5,11 +5,11 @@ import pytest
 
 from estbench.errors import DimensionError
 from estbench.estimators import registry
-from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.inference.offline import follow
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Instant
-from estbench.simulation.truth import Trajectory
+from estbench.simulation.sources import Recorded, Trajectory
 from estbench.smoothers.rts import rts
 from tests.helpers import nonlinear_model, random_cov
 
@@ -39,7 +39,7 @@ def test_the_beliefs_are_those_of_the_event_loop(name):
         Instant(*TIMES[k : k + 2].tolist(), 1, ("radar",), True, k + 1) for k in range(STEPS)
     ]
     readings = [
-        [] if missing[k].all() else [Delivery("radar", k, y[k], ~missing[k], k)]
+        [] if missing[k].all() else [Delivery("radar", k + 1, y[k], ~missing[k], k + 1)]
         for k in range(STEPS)
     ]
     source = Recorded(instants, Trajectory(np.zeros((STEPS + 1, RUNS, 2)), u, readings))

@@ -11,11 +11,12 @@ from estbench.estimators import registry
 from estbench.estimators.beliefs import Gaussian
 from estbench.experiment import setup
 from estbench.inference import run_subset as partial
-from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
-from estbench.simulation.truth import Trajectory, simulate
+from estbench.simulation.sources import Recorded, Trajectory
+from tests.helpers import simulated
 
 RUNS = 64
 
@@ -103,11 +104,7 @@ class Watched:
 def recorded():
     """A trajectory of which a reading in twenty comes 1 to 9 steps late; predicts that it asks."""
     prepared = setup.build(experiment.resolve("cartpole_imu", duration=0.4))
-    runs = range(RUNS)
-    with engine():
-        trajectory = simulate(
-            prepared.simulator(runs), prepared.controller(runs), prepared.plant.period
-        )
+    trajectory = simulated(prepared, RUNS)
     count, rng = len(trajectory.deliveries), np.random.default_rng(1)
     deliveries: list[list[Any]] = [[] for _ in range(count)]
     depth = np.zeros((count, RUNS), int)

@@ -7,6 +7,8 @@ from scipy import stats
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.randomness import seeding, streams
+from estbench.simulation.sources import record
+from tests.helpers import driven
 
 PURPOSES = ("initial", "process", "control", "sensor:gyro", "sensor:gyr0")
 
@@ -75,26 +77,27 @@ def test_streams_are_those_of_numpys_seed_sequence(seed):
     )
 
 
-def readings(overrides, runs=range(3)):
+def recorded(overrides, runs=range(3)):
+    """The truth of some runs, and each channel's readings `(instant, run, ny)`."""
+    overrides = [*overrides, "control={kind='sine', amplitude=0.4}"]  # feedback would round
     prepared = setup.build(experiment.resolve("cartpole", duration=0.2, overrides=overrides))
-    simulator = prepared.simulator(runs)
-    return {r.channel.name: r._noise for r in simulator._readings}, simulator
+    trajectory = record(driven(prepared, runs))
+    named = [{d.channel: d.y for d in arrived} for arrived in trajectory.deliveries]
+    return {name: np.array([each[name] for each in named]) for name in named[0]}, trajectory
 
 
 def test_adding_a_sensor_leaves_the_truth_and_the_other_sensors_noise():
-    two, before = readings([])
-    three, after = readings(['sensors=["gyro", "pole_encoder", "cart_encoder"]'])
+    two, before = recorded([])
+    three, after = recorded(['sensors=["gyro", "pole_encoder", "cart_encoder"]'])
     assert set(three) == {*two, "gyro"}
-    for name, noise in two.items():
-        np.testing.assert_array_equal(three[name], noise)
-    np.testing.assert_array_equal(after.x0, before.x0)
-    np.testing.assert_array_equal(after._process, before._process)
+    for name, y in two.items():
+        np.testing.assert_array_equal(three[name], y)
+    np.testing.assert_array_equal(after.x, before.x)
 
 
 def test_a_run_is_the_same_whichever_runs_are_beside_it():
-    together, whole = readings([], range(5))
-    alone, one = readings([], [3])
-    for name, noise in alone.items():
-        np.testing.assert_array_equal(noise[:, 0], together[name][:, 3])
-    np.testing.assert_array_equal(one.x0[0], whole.x0[3])
-    np.testing.assert_array_equal(one._process[:, 0], whole._process[:, 3])
+    together, whole = recorded([], range(5))
+    alone, one = recorded([], [3])
+    for name, y in alone.items():
+        np.testing.assert_array_equal(y[:, 0], together[name][:, 3])
+    np.testing.assert_array_equal(one.x[:, 0], whole.x[:, 3])

@@ -7,7 +7,7 @@ from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
 from estbench.sensors import channel as sensors
 from estbench.sensors.timing import MjcfTiming, Timing, instants
-from tests.helpers import zoo_model
+from tests.helpers import at_zero, zoo_model
 
 FULL_R = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.05]]
 
@@ -38,7 +38,7 @@ def model_with(text):
 def test_noise_of_a_full_r_is_normal_with_that_covariance():
     gyro = channel("gyro", cov=FULL_R)
     np.testing.assert_array_equal(gyro.cov, FULL_R)
-    noise = gyro.noise(1, range(20), np.zeros(500))
+    noise = at_zero(gyro, 1, range(20), 500)
     assert noise.shape == (500, 20, 3)
     flat = noise.reshape(-1, 3)
     d2 = np.einsum("ij,jk,ik->i", flat, np.linalg.inv(FULL_R), flat)
@@ -52,7 +52,7 @@ def test_noise_of_a_full_r_is_normal_with_that_covariance():
 
 
 def test_noise_is_white_in_time():
-    noise = channel("lift_encoder", noise=1.0).noise(2, range(10), np.zeros(2000))[..., 0]
+    noise = at_zero(channel("lift_encoder", noise=1.0), 2, range(10), 2000)[..., 0]
     lag_one = (noise[1:] * noise[:-1]).mean()
     assert abs(lag_one) < 6 / np.sqrt(noise[1:].size)
 
@@ -244,7 +244,7 @@ def test_sensors_taken_together_are_one_channel_in_place_of_themselves():
     adr = [model.sensor(name).adr[0] for name in imu.sensors]
     assert imu.columns.tolist() == [adr[0], adr[0] + 1, adr[0] + 2, adr[1]]
     assert imu.timing.period == 2
-    noise = imu.noise(1, range(40), np.zeros(500)).reshape(-1, 4)
+    noise = at_zero(imu, 1, range(40), 500).reshape(-1, 4)
     sigma = np.sqrt((np.outer(np.diag(R), np.diag(R)) + R**2) / len(noise))
     assert (np.abs(noise.T @ noise / len(noise) - R) < 6 * sigma).all()
 
@@ -346,7 +346,7 @@ def test_a_sensor_free_of_noise_needs_an_r_that_is_believed():
     belief = {"gyro": BelievedChannelSection(noise=0.1)}
     section = {"gyro": ChannelSection(noise=[0.0, 0.1, 0.0])}
     (gyro,), _ = sensors.build(zoo_model("joints"), section, ["gyro"], 1, believed=belief)
-    noise = gyro.noise(0, range(3), np.zeros(4))
+    noise = at_zero(gyro, 0, range(3), 4)
     np.testing.assert_array_equal(noise[..., [0, 2]], 0.0)
     assert (noise[..., 1] != 0).all()
     np.testing.assert_allclose(sensors.believed_covariance(gyro, belief["gyro"]), 0.01 * np.eye(3))

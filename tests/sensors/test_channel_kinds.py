@@ -8,10 +8,11 @@ import pytest
 
 from estbench.estimators import registry
 from estbench.experiment import setup
-from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
-from estbench.simulation.truth import Trajectory, simulate
+from estbench.simulation.sources import Recorded, Trajectory
+from tests.helpers import simulated
 
 RUNS = 5
 CORRELATED = [[0.01, 0.0, 0.0, 0.008], [0, 0.01, 0, 0], [0, 0, 0.01, 0], [0.008, 0, 0, 0.04]]
@@ -23,12 +24,6 @@ def cart(x, u, t):
 
 def prepare(*overrides):
     return setup.build(experiment.resolve("cartpole_imu", duration=0.5, overrides=overrides))
-
-
-def simulated(prepared):
-    runs = range(RUNS)
-    with engine():
-        return simulate(prepared.simulator(runs), prepared.controller(runs), prepared.plant.period)
 
 
 def run(prepared, trajectory, kind) -> Any:
@@ -47,7 +42,7 @@ def test_sensors_taken_together_are_fused_as_they_are_apart(kind):
         "sensors=['cart_encoder', 'imu']", "channels.imu.of=['accel', 'gyro']",
         "channels.imu.noise=[0.2, 0.2, 0.2, 0.02, 0.02, 0.02]",
     )  # fmt: skip
-    trajectory = simulated(apart)
+    trajectory = simulated(apart, RUNS)
     assert [c.name for c in together.channels] == ["cart_encoder", "imu"]
 
     def joined(arrived):
@@ -66,13 +61,13 @@ def test_the_filter_knows_how_the_noise_of_sensors_taken_together_goes_together(
     imu = f"channels.imu={{of=['gyro', 'cart_encoder'], cov={CORRELATED}}}"
     prepared = prepare("sensors=['accel', 'imu']", imu)
     np.testing.assert_array_equal(prepared.model().measurement_noise(0.0, ["imu"]), CORRELATED)
-    trajectory = simulated(prepared)
+    trajectory = simulated(prepared, RUNS)
     simulator, imu = prepared.simulator(range(RUNS)), prepared.channels[-1]
     noise = []
     with engine():
         for k, arrived in enumerate(trajectory.deliveries):
             t = prepared.instants[k].end
-            clean = simulator.clean([imu], t, trajectory.x[k + 1], trajectory.u[k])
+            clean = simulator.suite.clean([imu], t, trajectory.x[k + 1], trajectory.u[k])
             noise += [d.y - clean for d in arrived if d.channel == "imu"]
     first, last = np.concatenate(noise)[:, [0, 3]].T
     # Correlation 0.4 of 250 pairs: Fisher's z has a std of 1/sqrt(247); refused below 1e-6.
@@ -87,7 +82,7 @@ def test_a_function_of_the_state_is_fused_as_the_sensor_it_imitates(kind):
         "sensors=['accel', 'gyro', 'cart']",
         f"channels.cart={{function='{__name__}:cart', unit='m', noise=0.01}}",
     )
-    trajectory = simulated(sensor)
+    trajectory = simulated(sensor, RUNS)
 
     def imitated(arrived):
         (encoder,) = (d for d in arrived if d.channel == "cart_encoder")

@@ -16,7 +16,7 @@ from estbench.montecarlo import run as experiment
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.library import engine
 from estbench.sensors import schedules
-from estbench.simulation.truth import simulate
+from tests.helpers import simulated
 from tests.sensors import test_schedules as factors
 
 HERE, FACTORS = __name__, factors.__name__
@@ -74,15 +74,16 @@ PROCESS = f'process_noise.schedule="{HERE}:Q"'
 
 
 def readings(prepared):
+    trajectory, simulator = simulated(prepared, 4), prepared.simulator(range(4))
+    gyro = [c for c in prepared.channels if c.name == "gyro"]
+    places = {instant.tick: k for k, instant in enumerate(prepared.instants)}
+    taken = [d for a in trajectory.deliveries for d in a if d.channel == "gyro"]
+    at = [places[d.taken] for d in taken]
+    ends = [prepared.instants[k].end for k in at]
     with engine():
-        trajectory = simulate(prepared.simulator(range(4)), prepared.controller(range(4)), 0.01)
-        simulator = prepared.simulator(range(4))
-        gyro = [c for c in prepared.channels if c.name == "gyro"]
-        taken = [d for a in trajectory.deliveries for d in a if d.channel == "gyro"]
-        ends = [prepared.instants[d.taken].end for d in taken]
         clean = [
-            simulator.clean(gyro, t, trajectory.x[d.taken + 1], trajectory.u[d.taken])
-            for d, t in zip(taken, ends)
+            simulator.suite.clean(gyro, t, trajectory.x[k + 1], trajectory.u[k])
+            for k, t in zip(at, ends)
         ]
     return np.array(ends), np.array([d.y for d in taken]) - np.array(clean)
 

@@ -46,11 +46,10 @@ def simulate(part, space=LINE, readings=1, runs=4000, clean=None, std=0.0, first
     state, y, masks = imperfections.start(part, constants, len(runs), m), [], []
     for j in range(readings):
         now = {k: v[j] for k, v in draws.items()}
-        read, mask, state = imperfections.deliver(
-            part, space, clean, noise[j], state, now, first + j * DT
-        )
+        state = imperfections.advance(part, noise[j], state, now, first + j * DT)
+        read, state = imperfections.respond(part, space, clean, state)
         y.append(read)
-        masks.append(np.ones(len(runs), bool) if mask is None else mask)
+        masks.append(~state.lost)
     return np.array(y), np.array(masks)
 
 

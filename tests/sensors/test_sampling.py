@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from estbench.experiment import setup
-from estbench.robots.library import engine
 from estbench.scenario.load import load
 from estbench.scenario.schema import ChannelSection
 from estbench.sensors import channel as sensors
-from estbench.sensors.sampling import Readings
+from estbench.sensors.sampling import Sampler
 from estbench.sensors.timing import instants
-from estbench.simulation.truth import simulate
-from tests.helpers import SENSORS, zoo_model
+from tests.helpers import SENSORS, arrived, sampled, simulated, zoo_model
 
 EVERYTHING = {
     "bias": 0.1, "bias_walk": 0.05, "drift": 0.1, "drift_time": 0.5, "scale_factor": 0.01,
@@ -29,21 +27,30 @@ NOTHING = {
 }  # fmt: skip
 
 
-def readings(section, runs: Sequence[int] = range(4), steps=60, name="lift_encoder", frame_skip=1):
+def started(section, runs: Sequence[int] = range(4), steps=60, name="lift_encoder", frame_skip=1):
+    """A sampler on some runs, and the instants of these runs."""
     model = zoo_model("joints")  # 4 ms steps
     (channel,), _ = sensors.build(model, {name: ChannelSection(**section)}, [name], frame_skip)
     found = instants([(name, channel.timing)], model.opt.timestep, frame_skip, 0.004 * steps)
-    return Readings(channel, found, 3, runs), found
+    sampler = Sampler(channel, len(runs), found[-1].tick)
+    sampler.start(np.arange(len(runs)), 3, runs, 0)
+    return sampler, found
 
 
-def collect(made, found, runs):
+def unpacked(delivery, rows):
+    """A delivery row by row: `(row, due, y)` of those that it comes to."""
+    due = np.broadcast_to(delivery.due, rows)
+    came = range(rows) if delivery.mask is None else np.flatnonzero(delivery.mask)
+    return [(r, int(due[r]), delivery.y[r].tolist()) for r in came]
+
+
+def collect(sampler, found, runs):
     """[(arrival, taken, due, run, value)], of a true reading that tells tick and run apart."""
     out = []
-    for k, instant in enumerate(found):
-        clean = np.array([[1000.0 * instant.tick + run] for run in runs]) if made.takes(k) else None
-        for d in made.at(k, clean):
-            rows = range(len(runs)) if d.mask is None else np.flatnonzero(d.mask)
-            out += [(k, d.taken, d.due, runs[r], float(d.y[r, 0])) for r in rows]
+    for tick in (instant.tick for instant in found):
+        true = np.array([[1000.0 * tick + run] for run in runs])
+        for d in sampler.at(tick, true if sampler.takes(tick) else None):
+            out += [(tick, d.taken, due, runs[r], y) for r, due, (y,) in unpacked(d, len(runs))]
     return out
 
 
@@ -66,42 +73,49 @@ TIMINGS = [
 @pytest.mark.parametrize("frame_skip", [1, 3])
 def test_every_reading_arrives_once_with_what_was_true_when_it_was_taken(section, frame_skip):
     runs = list(range(40))
-    made, found = readings({"noise": 1e-6, **section}, runs, frame_skip=frame_skip)
-    channel, ticks = made.channel, np.array([i.tick for i in found])
+    sampler, found = started({"noise": 1e-6, **section}, runs, frame_skip=frame_skip)
+    channel, ticks = sampler.channel, np.array([i.tick for i in found])
     last = ticks[-1]
     due = channel.timing.due(last)
-    taken = channel.timing.sampled(3, runs, channel.name, last)
-    arrives = channel.timing.arrived(taken, 3, runs, channel.name, last)
-    collected = collect(made, found, runs)
+    taken = sampled(channel.timing, 3, runs, channel.name, last)
+    arrives = arrived(channel.timing, taken, 3, runs, channel.name)
+    collected = collect(sampler, found, runs)
     seen = {(run, due): (arrival, at, value) for arrival, at, due, run, value in collected}
     assert len(seen) == len(collected)  # none twice
     lost = 0
     for j in range(len(due)):
         for r, run in enumerate(runs):
             if arrives[j, r] > last:
-                assert (run, int(np.searchsorted(ticks, due[j]))) not in seen
+                assert (run, due[j]) not in seen
                 continue
-            found_ = seen.pop((run, int(np.searchsorted(ticks, due[j]))), None)
+            found_ = seen.pop((run, due[j]), None)
             if found_ is None:
                 lost += 1
                 continue
             arrival, at, value = found_
-            assert ticks[at] == taken[j, r]
+            assert at == taken[j, r]
             assert value == pytest.approx(1000 * taken[j, r] + run, abs=1e-4)
-            assert arrival == np.searchsorted(ticks, arrives[j, r])  # the first not earlier
+            # The first instant that is not earlier.
+            assert arrival == ticks[np.searchsorted(ticks, arrives[j, r])]
     assert not seen  # none from nowhere
     assert (lost > 0) == ("dropout" in section)
 
 
 def test_an_arrival_waits_for_the_next_instant():
-    made, found = readings({"noise": 1e-6, "rate": 62.5, "latency": 0.005}, frame_skip=4, steps=16)
+    sampler, found = started(
+        {"noise": 1e-6, "rate": 62.5, "latency": 0.005}, frame_skip=4, steps=16
+    )
     assert [i.tick for i in found] == [4, 8, 12, 16]
-    assert [(k, taken) for k, taken, *_ in collect(made, found, [0])] == [(1, 0), (2, 1), (3, 2)]
+    assert [(arrival, taken) for arrival, taken, *_ in collect(sampler, found, [0])] == [
+        (8, 4),
+        (12, 8),
+        (16, 12),
+    ]
 
 
 def test_readings_with_random_latency_overtake_each_other():
-    made, found = readings({"noise": 1e-6, "latency": 0.02, "latency_std": 0.02}, steps=200)
-    order = [taken for _, taken, _, run, _ in collect(made, found, range(4)) if run == 0]
+    sampler, found = started({"noise": 1e-6, "latency": 0.02, "latency_std": 0.02}, steps=200)
+    order = [taken for _, taken, _, run, _ in collect(sampler, found, range(4)) if run == 0]
     assert order != sorted(order)
     assert sorted(order) == sorted(set(order))
 
@@ -113,10 +127,10 @@ def test_with_jitter_each_run_sees_the_truth_of_its_own_time():
     """A stuck-at fault remembers it too: the memory is a run's own."""
     section = {"noise": 1e-9, "rate": 25, "jitter": 0.016, "stuck": 0.5, "stuck_length": 2.0}
     runs = list(range(30))
-    made, found = readings(section, runs, steps=400)
+    sampler, found = started(section, runs, steps=400)
     values = {}
-    for _, taken, _, run, value in collect(made, found, runs):
-        fresh = 1000 * found[taken].tick + run
+    for _, taken, _, run, value in collect(sampler, found, runs):
+        fresh = 1000 * taken + run
         previous = values.get(run)
         assert value == pytest.approx(fresh, abs=1e-4) or value == previous
         values[run] = value
@@ -129,18 +143,18 @@ def test_a_run_reads_the_same_alone_and_among_others(name, section):
     section = {k: v for k, v in section.items() if name != "attitude" or k not in flat}
 
     def deliveries(runs):
-        made, found = readings(section, runs, name=name)
-        space, out = made.channel.space, {}
-        for k, instant in enumerate(found):
+        sampler, found = started(section, runs, name=name)
+        space, out = sampler.channel.space, {}
+        for instant in found:
             clean = None
-            if made.takes(k):
+            if sampler.takes(instant.tick):
                 x = np.array([[0.1 * run, instant.end, 1.0] for run in runs])[:, : space.n]
                 start = np.zeros(space.nx)
                 start[space.quaternions[:, 0]] = 1.0
                 clean = space.plus(np.broadcast_to(start, (len(runs), space.nx)), x)
-            for d in made.at(k, clean):
-                for r in range(len(runs)) if d.mask is None else np.flatnonzero(d.mask):
-                    out[runs[r], d.due] = (k, d.taken, d.y[r].tolist())
+            for d in sampler.at(instant.tick, clean):
+                for r, due, y in unpacked(d, len(runs)):
+                    out[runs[r], due] = (instant.tick, d.taken, y)
         return out
 
     together = deliveries(range(12))
@@ -202,9 +216,7 @@ def assert_sensordata(path, duration, *settings):
     """
     prepared = exact(path, f"simulation.duration={duration}", *settings)
     runs = range(4)
-    with engine():
-        controller = prepared.controller(runs)
-        trajectory = simulate(prepared.simulator(runs), controller, prepared.plant.period)
+    trajectory = simulated(prepared, len(runs))
     original = mujoco.MjModel.from_xml_path(str(path))
     # The solver then begins where it begins in estbench: forces of constraints agree to the bit.
     original.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
@@ -249,3 +261,124 @@ def test_zero_imperfections_are_no_imperfections(tmp_path):
     prepared = exact(tmp_path / "m.xml")
     assert all(c.imperfections is None and c.timing.punctual for c in prepared.channels
                if not zoo_model("sensors").sensor(c.name).cutoff[0])  # fmt: skip
+
+
+# Rows on clocks of their own
+
+STREAKS = {"dropout": 0.3, "dropout_length": 2.5, "stuck": 0.2, "stuck_length": 3.0}
+ROWS_APART = {
+    "punctual": {"rate": 125},
+    "phase": {"rate": 25, "phase": 0.012},
+    "latency": {"rate": 62.5, "latency": 0.03},
+    "jitter": {"rate": 25, "jitter": 0.016},
+    "random latency": {"latency": 0.02, "latency_std": 0.03},
+    "jitter, random latency": {"rate": 50, "jitter": 0.008, "latency": 0.01, "latency_std": 0.02},
+    "gaps and faults": {"rate": 125, **STREAKS},
+    "all": {"rate": 50, "jitter": 0.008, "latency_std": 0.02, "bias": 0.1, "bias_walk": 0.2,
+            "drift": 0.1, "drift_time": 0.1, "scale_factor": 0.01, "outlier_probability": 0.2,
+            **STREAKS},
+    "schedule": {"rate": 125, "schedule": [(0.06, 2.0), (0.1, 5.0), (9.0, 1.0)]},
+    "schedule, jitter": {"rate": 25, "jitter": 0.016, "schedule": [(0.12, 2.0), (9.0, 5.0)]},
+}  # fmt: skip
+# tick -> the rows that begin there, and their runs; some while readings are on their way.
+BEGINNINGS = {
+    0: ([0, 1, 2, 3], [0, 1, 2, 3]), 7: ([2], [4]), 10: ([0, 3], [5, 6]), 11: ([1], [7]),
+    30: ([3, 2], [0, 8]), 33: ([2], [9]), 90: ([0, 1, 2, 3], [1, 4, 9, 3]),
+}  # fmt: skip
+LAST = 140
+
+
+def true_reading(elapsed, runs):
+    return np.array([[1000.0 * e + run] for e, run in zip(elapsed, runs)])
+
+
+def sampler_of(section, rows, last=None):
+    model = zoo_model("joints")
+    sections = {"lift_encoder": ChannelSection(**{"noise": 0.5, **section})}
+    (channel,), _ = sensors.build(model, sections, ["lift_encoder"], 1, 9.0)
+    return Sampler(channel, rows, last)
+
+
+def heard(deliveries, tick, began, runs):
+    """(run, what it hears by its own clock: arrival, taken, due, reading), in order."""
+    for d in deliveries:
+        for r, due, y in unpacked(d, len(runs)):
+            yield r, (tick - began[r], d.taken - began[r], due - began[r], y)
+
+
+def alone(section, run, ticks, last=None):
+    """What a run hears in its first ticks."""
+    sampler, out = sampler_of(section, 1, last), []
+    sampler.start(np.arange(1), 3, [run], 0)
+    for tick in range(1, ticks + 1):
+        clean = true_reading([tick], [run]) if sampler.takes(tick) else None
+        out += [told for _, told in heard(sampler.at(tick, clean), tick, [0], [run])]
+    return out
+
+
+@pytest.mark.parametrize("split", [False, True], ids=["all", "some, then the others"])
+@pytest.mark.parametrize("name", ROWS_APART)
+def test_rows_that_begin_at_different_ticks_hear_what_they_hear_alone(name, split):
+    """With `split` the rows go on in two groups at each tick, as those of two clocks do."""
+    section, rows = ROWS_APART[name], 4
+    rng = np.random.default_rng(0)
+    sampler = sampler_of(section, rows)
+    began, runs = np.zeros(rows, int), np.zeros(rows, int)
+    told = [[] for _ in range(rows)]
+    compared, lost_on_the_way = 0, 0
+
+    def compare(row, now):
+        nonlocal compared, lost_on_the_way
+        expected = alone(section, runs[row], now - began[row])
+        assert told[row] == expected
+        compared += len(expected)
+        later = alone(section, runs[row], now - began[row] + 40)
+        lost_on_the_way += sum(taken <= now - began[row] < at for at, taken, *_ in later)
+        told[row] = []
+
+    for tick in range(LAST + 1):
+        if tick:
+            groups = [None]
+            if split:
+                mask = rng.random(rows) < 0.5
+                groups = [g for g in (mask, ~mask) if g.any()]
+            for moved in groups:
+                true = true_reading(tick - began, runs)
+                arrived = sampler.at(tick, true if sampler.takes(tick) else None, moved)
+                for row, heard_ in heard(arrived, tick, began, runs):
+                    assert moved is None or moved[row]
+                    told[row].append(heard_)
+        if tick in BEGINNINGS:
+            here, new = BEGINNINGS[tick]
+            if tick:
+                for row in here:
+                    compare(row, tick)
+            sampler.start(np.array(here), 3, new, tick)
+            began[here], runs[here] = tick, new
+    for row in range(rows):
+        compare(row, LAST)
+    assert compared > 40
+    assert (lost_on_the_way > 0) == any(k.startswith("latency") for k in section)
+
+
+@pytest.mark.parametrize("name", ROWS_APART)
+def test_a_run_hears_the_same_whether_its_end_is_known_or_not(name):
+    section = ROWS_APART[name]
+    known = alone(section, 5, 60, last=60)
+    assert known
+    assert known == [told for told in alone(section, 5, 60) if told[2] <= 60]
+
+
+def test_a_row_that_has_not_moved_hears_it_later():
+    sampler = sampler_of({"rate": 125, "latency": 0.008}, 2)  # every 2 ticks, 2 ticks late
+    sampler.start(np.arange(2), 3, [0, 1], 0)
+    first, both = np.array([True, False]), np.ones(2, bool)
+    arrivals = []
+    for tick in range(1, 7):
+        moved = first if tick in (4, 5) else both
+        clean = np.zeros((2, 1)) if sampler.takes(tick) else None
+        arrivals += [
+            (tick, r, d.taken) for d in sampler.at(tick, clean, moved) for r, *_ in unpacked(d, 2)
+        ]
+    assert [a for a in arrivals if a[1] == 0] == [(4, 0, 2), (6, 0, 4)]
+    assert [a for a in arrivals if a[1] == 1] == [(6, 1, 2)]

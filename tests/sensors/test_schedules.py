@@ -9,7 +9,7 @@ from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
 from estbench.sensors import schedules
-from estbench.simulation.truth import simulate
+from tests.helpers import simulated
 
 HERE = __name__
 
@@ -107,17 +107,16 @@ def test_noise_and_its_r_follow_the_schedule(schedule, factors):
     gyro = "channels.gyro.schedule=" + (schedule if schedule[0] == "[" else f'"{schedule}"')
     noisy, calm = prepare(gyro, name="cartpole_imu"), prepare(name="cartpole_imu")
     readings = []
-    with engine():
-        for prepared in (noisy, calm):
-            trajectory = simulate(prepared.simulator(range(4)), prepared.controller(range(4)), 0.01)
-            readings.append([d.y for a in trajectory.deliveries for d in a if d.channel == "gyro"])
+    for prepared in (noisy, calm):
+        trajectory = simulated(prepared, 4)
+        readings.append([d.y for a in trajectory.deliveries for d in a if d.channel == "gyro"])
     x, simulator = trajectory.x, calm.simulator(range(4))
     gyro = [c for c in calm.channels if c.name == "gyro"]
     R = calm.model().measurement_noise(0.0, ["gyro"])
     for k in (0, 49, 50, 99):
         t = calm.instants[k].end
         with engine():
-            clean = simulator.clean(gyro, t, x[k + 1], trajectory.u[k])
+            clean = simulator.suite.clean(gyro, t, x[k + 1], trajectory.u[k])
         np.testing.assert_allclose(
             readings[0][k] - clean, (readings[1][k] - clean) * factors(t), atol=1e-12
         )

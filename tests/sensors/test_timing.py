@@ -6,8 +6,9 @@ from estbench.errors import ScenarioError
 from estbench.experiment import setup
 from estbench.robots.library import engine
 from estbench.scenario.load import load
-from estbench.sensors.sampling import Readings
-from estbench.sensors.timing import MjcfTiming, Timing, instants
+from estbench.sensors.sampling import Sampler
+from estbench.sensors.timing import Instant, MjcfTiming, Schedule, Timing, instants
+from tests.helpers import arrived, sampled
 
 # When
 
@@ -27,7 +28,7 @@ def test_an_uneven_rhythm_takes_the_first_step_that_is_not_earlier():
 
 def test_jitter_is_uniform_within_its_bound():
     timing = Timing(20, jitter=3)
-    off = timing.sampled(5, range(50), "a", 20 * 200) - timing.due(20 * 200)[:, None]
+    off = sampled(timing, 5, range(50), "a", 20 * 200) - timing.due(20 * 200)[:, None]
     assert off.shape == (200, 50)
     counts = np.unique(off, return_counts=True)
     assert counts[0].tolist() == [-3, -2, -1, 0, 1, 2, 3]
@@ -37,18 +38,18 @@ def test_jitter_is_uniform_within_its_bound():
 
 
 def test_latency_is_rounded_up_to_the_next_step_and_never_negative():
-    sampled = Timing(4).sampled(0, range(3), "a", 40)
+    taken = sampled(Timing(4), 0, range(3), "a", 40)
     for latency, steps in ((0.0, 0), (0.2, 1), (1.0, 1), (2.5, 3), (16.0, 16)):
-        arrived = Timing(4, latency=latency).arrived(sampled, 0, range(3), "a", 40)
-        np.testing.assert_array_equal(arrived, sampled + steps)
+        arrives = arrived(Timing(4, latency=latency), taken, 0, range(3), "a")
+        np.testing.assert_array_equal(arrives, taken + steps)
     timing = Timing(4, latency=1.0, latency_std=2.0)
-    assert (timing.arrived(sampled, 0, range(3), "a", 40) >= sampled).all()
+    assert (arrived(timing, taken, 0, range(3), "a") >= taken).all()
 
 
 def test_random_latency_has_its_mean_and_standard_deviation():
     timing = Timing(1, latency=100.0, latency_std=5.0)
-    sampled = timing.sampled(1, range(40), "a", 500)
-    late = timing.arrived(sampled, 1, range(40), "a", 500) - sampled
+    taken = sampled(timing, 1, range(40), "a", 500)
+    late = arrived(timing, taken, 1, range(40), "a") - taken
     n = late.size
     # Rounding up adds half a step and a variance of 1/12. Six standard deviations: 2e-9.
     assert abs(late.mean() - 100.5) < 6 * 5 / np.sqrt(n)
@@ -59,13 +60,12 @@ def test_random_latency_has_its_mean_and_standard_deviation():
 
 def test_each_run_has_its_own_jitter_and_latency_whatever_its_company():
     timing = Timing(10, jitter=4, latency=3.0, latency_std=2.0)
-    together = timing.sampled(1, range(6), "a", 100)
-    late = timing.arrived(together, 1, range(6), "a", 100)
+    together = sampled(timing, 1, range(6), "a", 100)
+    late = arrived(timing, together, 1, range(6), "a")
     for run in range(6):
-        alone = timing.sampled(1, [run], "a", 100)
+        alone = sampled(timing, 1, [run], "a", 100)
         np.testing.assert_array_equal(alone[:, 0], together[:, run])
-        arrived = timing.arrived(alone, 1, [run], "a", 100)
-        np.testing.assert_array_equal(arrived[:, 0], late[:, run])
+        np.testing.assert_array_equal(arrived(timing, alone, 1, [run], "a")[:, 0], late[:, run])
     assert (late[:, 0] != late[:, 1]).any()
 
 
@@ -85,6 +85,69 @@ def test_jittered_instants_are_instants_and_jitter_is_less_than_half_a_period():
     assert [i.tick for i in found if i.channels] == [5, 10, 15, 20]
     with pytest.raises(ScenarioError, match=r"channels\.a\.jitter is 0\.03 s; .*half the period"):
         instants([("a", Timing(6, jitter=3, timestep=0.01))], 0.01, 1, 0.2)
+
+
+RHYTHMS = {
+    "plain": [Timing(4)],
+    "between": [Timing(3), Timing(10, phase=7)],
+    "later than the end": [Timing(500)],
+    "jitter": [Timing(5, jitter=2), Timing(9, phase=1, jitter=3)],
+    "fractional": [Timing(2, fractional=(2.5, 2.5)), Timing(3, fractional=(0.75, 10 / 3))],
+    "all": [Timing(7, jitter=3, latency=4.0), Timing(2, fractional=(1.0, 2.25)), Timing(6)],
+}
+
+
+def counted(named, frame_skip, last):
+    """The instants of a run, found tick by tick."""
+    times = {name: timing.due(last).tolist() for name, timing in named}
+    around = {
+        due + off
+        for name, timing in named
+        for due in times[name]
+        for off in range(-timing.jitter, timing.jitter + 1)
+    }
+    out, before = [], 0
+    for tick in range(1, last + 1):
+        if tick % frame_skip and tick not in around:
+            continue
+        names = tuple(name for name, _ in named if tick in times[name])
+        control = before % frame_skip == 0
+        out.append(Instant(before * 0.01, tick * 0.01, tick - before, names, control, tick))
+        before = tick
+    return out
+
+
+@pytest.mark.parametrize("rhythm", RHYTHMS)
+@pytest.mark.parametrize("frame_skip", [1, 3, 4])
+def test_the_control_periods_of_a_schedule_are_the_instants(rhythm, frame_skip):
+    named = [(f"c{i}", timing) for i, timing in enumerate(RHYTHMS[rhythm])]
+    count = 30
+    last = count * frame_skip
+    expected = counted(named, frame_skip, last)
+    assert instants(named, 0.01, frame_skip, last * 0.01) == expected
+    ended = Schedule(named, 0.01, frame_skip, last)
+    assert [i for k in range(count) for i in ended.period(k)] == expected
+    # Nothing is due after the end: a step is divided by the jitter of its last readings at most.
+    assert not any(i.channels for i in ended.period(count))
+    assert [len(ended.period(count + k)) for k in (8, 9)] == [1, 1]
+    # Without an end: as in a longer run, in which the last periods are no different.
+    endless = Schedule(named, 0.01, frame_skip)
+    longer = counted(named, frame_skip, 2 * last)
+    found = [i for k in range(count) for i in endless.period(k)]
+    assert found == [i for i in longer if i.tick <= last]
+    # Where it says that no reading falls between the steps, none does.
+    assert not endless.plain or all(i.nstep == frame_skip for i in longer)
+    assert endless.plain or frame_skip == 1 or len(found) > count or rhythm == "later than the end"
+
+
+def test_a_schedule_forgets_and_makes_anew(monkeypatch):
+    monkeypatch.setattr("estbench.sensors.timing._REMEMBERED", 3)
+    named = [("a", Timing(3, jitter=1)), ("b", Timing(2, fractional=(2.5, 2.5)))]
+    schedule, other = (Schedule(named, 0.01, 4) for _ in range(2))
+    first = [schedule.period(k) for k in range(10)]
+    assert [other.period(k) for k in reversed(range(10))] == first[::-1]
+    assert [schedule.period(k) for k in range(10)] == first
+    assert len(schedule._known) <= 3
 
 
 def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
@@ -163,16 +226,16 @@ def test_the_mjcf_timing_is_mujocos(native, tmp_path):
     overrides = ["initial.std=1e-6", f"simulation.duration={steps * T}"]
     prepared = setup.build(load(tmp_path / "m.xml", overrides))
     (channel,) = prepared.channels
-    readings = Readings(channel, prepared.instants, 0, range(2))
+    sampler = Sampler(channel, 2, steps)
+    sampler.start(np.arange(2), 0, range(2), 0)
     newest, shown = 0, []
     assert [i.tick for i in prepared.instants] == list(range(1, steps + 1))
-    for k, instant in enumerate(prepared.instants):
-        clean = np.full((2, 1), float(instant.tick)) if readings.takes(k) else None
-        for delivery in readings.at(k, clean):
+    for tick in range(1, steps + 1):
+        clean = np.full((2, 1), float(tick)) if sampler.takes(tick) else None
+        for delivery in sampler.at(tick, clean):
             assert delivery.mask is None
-            tick = prepared.instants[delivery.taken].tick
-            np.testing.assert_allclose(delivery.y, tick, atol=1e-6)
-            newest = max(newest, tick)
+            np.testing.assert_allclose(delivery.y, delivery.taken, atol=1e-6)
+            newest = max(newest, delivery.taken)
         shown.append(newest)
     assert shown == shown_by_mujoco(mjcf(native), steps)
 

@@ -1,10 +1,13 @@
 import copy
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 import pytest
 from scipy import stats
 
+from estbench.experiment import setup
+from estbench.montecarlo import run as experiment
 from estbench.randomness import streams
 from estbench.robots import backend, parameters
 from estbench.robots.controls import ControlRange
@@ -14,12 +17,32 @@ from estbench.robots.library import engine
 from estbench.scenario.schema import Draw
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
-from estbench.simulation import truth
-from tests.helpers import random_states, zoo_model
+from estbench.sensors.clock import Event
+from estbench.sensors.timing import Instant
+from estbench.shapes import Array
+from estbench.simulation import sources, truth
+from estbench.spaces.manifold import Manifold
+from tests.helpers import Fleet, random_states, zoo_model
+
+SEED = 7
+
+
+@dataclass(eq=False)
+class Robots:
+    """Some runs at their start, and what they were made of."""
+
+    simulator: truth.Simulator
+    model: mujoco.MjModel
+    space: Manifold
+    disturbance: Disturbance
+    channels: dict[str, sensors.Channel]
+    instants: list[Instant]
+    runs: range
+    x0: Array
 
 
 def build(name, kind="additive", density=0.0, runs=range(3), spread=0.1, frame_skip=1, **options):
-    """A simulator about a random state; `spread` is the initial std."""
+    """Robots about a random state; `spread` is the initial std."""
     model = zoo_model(name)
     space = state_space(model)
     steps, draws = options.get("steps", 20), options.get("draws", {})
@@ -29,7 +52,13 @@ def build(name, kind="additive", density=0.0, runs=range(3), spread=0.1, frame_s
     mean = random_states(model, 1, seed=1, scale=0.2)[0][0]
     disturbance = Disturbance.build(model, space, kind, density)
     initial = (mean, spread * np.eye(space.n))
-    return truth.Simulator(model, space, channels, instants, disturbance, initial, draws, 7, runs)
+    simulator = truth.Simulator(
+        model, space, channels, timing.Schedule(timings, dt, frame_skip), disturbance, initial,
+        draws, len(runs), instants,
+    )  # fmt: skip
+    simulator.start(np.arange(len(runs)), SEED, runs, np.zeros((len(runs), model.nu)))
+    named = {c.name: c for c in channels}
+    return Robots(simulator, model, space, disturbance, named, instants, runs, simulator.x)
 
 
 def wave(model, runs):
@@ -38,11 +67,10 @@ def wave(model, runs):
     return lambda k, t, x: 1.5 * np.sin(9 * t + phase)
 
 
-def simulate(simulator, controller=None, frame_time=None):
-    runs, model = len(simulator.x0), simulator._model
-    frame_time = frame_time or model.opt.timestep
-    with engine():
-        return truth.simulate(simulator, controller or wave(model, runs), frame_time)
+def simulate(robots, controller=None, frame_time=None):
+    controller = controller or wave(robots.model, len(robots.runs))
+    period = frame_time or robots.model.opt.timestep
+    return sources.record(sources.Live(robots.simulator, robots.instants, controller, period))
 
 
 def set_state(model, data, x):
@@ -59,9 +87,15 @@ def readings(trajectory):
     return [{d.channel: d.y for d in arrived} for arrived in trajectory.deliveries]
 
 
-def noise(simulator):
+def noise(robots):
     """Channel -> the noise of its readings `(reading, run, m)`."""
-    return {r.channel.name: r._noise for r in simulator._readings}
+    count = len(robots.instants)
+    return {
+        name: c.noise_from(
+            streams.normals(SEED, robots.runs, f"sensor:{name}", count, c.space.n), 0.0
+        )
+        for name, c in robots.channels.items()
+    }
 
 
 # Without noise
@@ -69,15 +103,15 @@ def noise(simulator):
 
 @pytest.mark.parametrize("name", ["joints", "activations", "rk4", "contact", "sensors"])
 def test_without_noise_the_truth_is_a_loop_of_mj_step(name):
-    simulator = build(name, frame_skip=2)
-    model = simulator._model
-    trajectory = simulate(simulator, frame_time=2 * model.opt.timestep)
+    robots = build(name, frame_skip=2)
+    model = robots.model
+    trajectory = simulate(robots, frame_time=2 * model.opt.timestep)
     control = wave(model, 3)
     for run in range(3):
         data = mujoco.MjData(model)
-        set_state(model, data, simulator.x0[run])
-        np.testing.assert_array_equal(trajectory.x[0, run], simulator.x0[run])
-        for k, instant in enumerate(simulator.instants):
+        set_state(model, data, robots.x0[run])
+        np.testing.assert_array_equal(trajectory.x[0, run], robots.x0[run])
+        for k, instant in enumerate(robots.instants):
             u = control(k, instant.start, None)
             np.testing.assert_array_equal(trajectory.u[k], u)
             data.ctrl = ControlRange.of(model).clamp(u)[run]
@@ -88,18 +122,18 @@ def test_without_noise_the_truth_is_a_loop_of_mj_step(name):
 
 @pytest.mark.parametrize("kind", ["force", "actuator"])
 def test_readings_are_those_of_the_end_state_without_the_disturbance(kind):
-    simulator = build("sensors", kind, 0.01)
-    model = simulator._model
-    trajectory, control = simulate(simulator), wave(model, 3)
-    y, v, data = readings(trajectory), noise(simulator), mujoco.MjData(model)
-    for k, instant in enumerate(simulator.instants):
+    robots = build("sensors", kind, 0.01)
+    model = robots.model
+    trajectory, control = simulate(robots), wave(model, 3)
+    y, v, data = readings(trajectory), noise(robots), mujoco.MjData(model)
+    for k, instant in enumerate(robots.instants):
         for run in range(3):
             set_state(model, data, trajectory.x[k + 1, run])
             data.ctrl = ControlRange.of(model).clamp(control(k, instant.start, None))[run]
             data.time = instant.end
             mujoco.mj_forward(model, data)
-            assert list(y[k]) == list(simulator._channels)
-            for name, channel in simulator._channels.items():
+            assert list(y[k]) == list(robots.channels)
+            for name, channel in robots.channels.items():
                 clean = data.sensordata[channel.columns][None]
                 expected = channel.space.plus(clean, v[name][k, run][None])[0]
                 np.testing.assert_allclose(y[k][name][run], expected, atol=1e-12)
@@ -107,14 +141,16 @@ def test_readings_are_those_of_the_end_state_without_the_disturbance(kind):
 
 def test_channels_of_different_rate_take_their_noise_in_order():
     slow = {"gyro": sensors.ChannelSection(rate=250 / 3)}
-    simulator = build("joints", channels=slow, steps=9)
-    trajectory = simulate(simulator)
-    gyro, taken = [simulator._channels["gyro"]], 0
-    for k, (instant, y) in enumerate(zip(simulator.instants, readings(trajectory))):
+    robots = build("joints", channels=slow, steps=9)
+    trajectory = simulate(robots)
+    gyro, taken = [robots.channels["gyro"]], 0
+    for k, (instant, y) in enumerate(zip(robots.instants, readings(trajectory))):
         assert ("gyro" in instant.channels) == ("gyro" in y) == (k % 3 == 2)
         if "gyro" in y:
-            clean = simulator.clean(gyro, instant.end, trajectory.x[k + 1], trajectory.u[k])
-            np.testing.assert_array_equal(y["gyro"], clean + noise(simulator)["gyro"][taken])
+            clean = robots.simulator.suite.clean(
+                gyro, instant.end, trajectory.x[k + 1], trajectory.u[k]
+            )
+            np.testing.assert_array_equal(y["gyro"], clean + noise(robots)["gyro"][taken])
             taken += 1
     assert taken == 3
 
@@ -130,17 +166,17 @@ def test_an_instant_without_a_reading():
 
 def one_step(kind, density, runs=4000, frame_skip=5):
     """Change of the end state `(run, n)` caused by the disturbance, the filter's Q, and dt."""
-    simulator = build(
-        "joints", kind, density, range(runs), spread=0.0, frame_skip=frame_skip, steps=1
-    )
-    model, space = simulator._model, simulator._space
+    robots = build("joints", kind, density, range(runs), spread=0.0, frame_skip=frame_skip, steps=1)
+    model, space = robots.model, robots.space
     u = np.full((runs, model.nu), 0.3)
     with engine():
-        x, _ = simulator.step(0, simulator.x0, u)
-        x0, rows = simulator.x0[:1], backend.create(model)
+        x0, rows = robots.x0[:1], backend.create(model)
+        (instant,) = robots.instants
+        robots.simulator.advance(Event(instant.tick, instant), u)
+        x = robots.simulator.x
         end = rows.step(x0, u[:1], 0.0, frame_skip)
         dt = frame_skip * model.opt.timestep
-        Q = simulator._disturbance.covariance(rows, space, x0, u[:1], 0.0, dt, frame_skip)
+        Q = robots.disturbance.covariance(rows, space, x0, u[:1], 0.0, dt, frame_skip)
     return space.minus(x, np.broadcast_to(end, x.shape)), Q.reshape(space.n, space.n), dt
 
 
@@ -184,17 +220,17 @@ def test_a_force_of_density_q_changes_the_velocity_by_q_dt_over_mass_squared():
 
 
 def test_disturbance_is_white_in_time():
-    simulator = build("joints", "additive", 0.01, range(500))
-    process = simulator._process
+    robots = build("joints", "additive", 0.01, range(500))
+    process = np.stack([robots.simulator._process.draw().copy() for _ in robots.instants])
     correlation = (process[1:] * process[:-1]).mean()
     assert abs(correlation) < 6 / np.sqrt(process[1:].size)
 
 
 def test_initial_states_spread_as_p0():
-    simulator = build("joints", runs=range(3000), spread=0.2, steps=1)
-    mean = random_states(simulator._model, 1, seed=1, scale=0.2)[0]
-    error = simulator._space.minus(simulator.x0, np.broadcast_to(mean, simulator.x0.shape))
-    assert_covariance(error, 0.04 * np.eye(simulator._space.n))
+    robots = build("joints", runs=range(3000), spread=0.2, steps=1)
+    mean = random_states(robots.model, 1, seed=1, scale=0.2)[0]
+    error = robots.space.minus(robots.x0, np.broadcast_to(mean, robots.x0.shape))
+    assert_covariance(error, 0.04 * np.eye(robots.space.n))
 
 
 # Parameters drawn once a run
@@ -209,26 +245,26 @@ def test_initial_states_spread_as_p0():
     ],
 )
 def test_each_run_has_its_own_parameter(key, draw):
-    simulator = build("sensors", draws={key: draw})
-    trajectory = simulate(simulator)
+    robots = build("sensors", draws={key: draw})
+    trajectory = simulate(robots)
     nominal = simulate(build("sensors"))
-    control, field = wave(simulator._model, 3), key.split(".")[0]
+    control, field = wave(robots.model, 3), key.split(".")[0]
     for run in range(3):
         model = copy.copy(zoo_model("sensors"))
-        z = streams.normals(7, [run], f"parameter:{key}", 1, 1).item()
+        z = streams.normals(SEED, [run], f"parameter:{key}", 1, 1).item()
         index, value = parameters.parameter(model, key, "")[1], getattr(model, field)
         value[index] = value[index] * (1 + draw.relative_std * z) + draw.std * z
         mujoco.mj_setConst(model, mujoco.MjData(model))
         data = mujoco.MjData(model)
-        set_state(model, data, simulator.x0[run])
-        for k, instant in enumerate(simulator.instants):
+        set_state(model, data, robots.x0[run])
+        for k, instant in enumerate(robots.instants):
             data.ctrl = ControlRange.of(model).clamp(control(k, instant.start, None))[run]
             mujoco.mj_step(model, data)
             np.testing.assert_array_equal(trajectory.x[k + 1, run], get_state(data))
             sensed = mujoco.MjData(model)
             set_state(model, sensed, trajectory.x[k + 1, run])
             mujoco.mj_forward(model, sensed)
-            got = readings(trajectory)[k]["gyro"][run] - noise(simulator)["gyro"][k, run]
+            got = readings(trajectory)[k]["gyro"][run] - noise(robots)["gyro"][k, run]
             np.testing.assert_allclose(got, sensed.sensor("gyro").data, atol=1e-9)
     assert (np.abs(trajectory.x[-1] - nominal.x[-1]).max(axis=-1) > 1e-9).all()
     np.testing.assert_array_equal(trajectory.x[0], nominal.x[0])
@@ -272,9 +308,9 @@ def test_a_run_that_blows_up_is_nan_and_the_others_are_untouched(name):
 
 
 def test_a_run_that_blew_up_has_no_attitude_either():
-    simulator = build("joints", "additive", 1e-3, range(2), steps=3)
-    simulator.x0[1] = np.nan
-    blown = simulate(simulator)
+    robots = build("joints", "additive", 1e-3, range(2), steps=3)
+    robots.x0[1] = np.nan
+    blown = simulate(robots)
     assert np.isfinite(blown.x[:, 0]).all()
     assert np.isnan(blown.x[:, 1]).all()
     assert all(np.isnan(y[1]).all() for arrived in readings(blown) for y in arrived.values())
@@ -282,7 +318,7 @@ def test_a_run_that_blew_up_has_no_attitude_either():
 
 def test_finite_replaces_whole_rows():
     x = np.array([[1.0, 2.0], [np.nan, 3.0], [np.inf, 4.0]])
-    out = truth.finite(x, np.zeros((3, 2)))
+    out = sources.finite(x, np.zeros((3, 2)))
     np.testing.assert_array_equal(out, [[1, 2], [0, 0], [0, 0]])
 
 
@@ -291,16 +327,57 @@ def test_finite_replaces_whole_rows():
 
 def test_the_controller_is_asked_once_a_filter_step_and_sees_the_true_state():
     fast = {"gyro": sensors.ChannelSection(rate=250)}
-    simulator = build("joints", channels=fast, frame_skip=2, steps=5)
+    robots = build("joints", channels=fast, frame_skip=2, steps=5)
     calls = []
 
     def control(k, t, x):
         calls.append((k, t, x.copy()))
         return np.full((3, 2), float(k))
 
-    frame = 2 * simulator._model.opt.timestep
-    trajectory = simulate(simulator, control, frame)
+    frame = 2 * robots.model.opt.timestep
+    trajectory = simulate(robots, control, frame)
     assert [k for k, *_ in calls] == list(range(5))
     np.testing.assert_allclose([t for _, t, _ in calls], frame * np.arange(5))
     np.testing.assert_array_equal([x for *_, x in calls], trajectory.x[0:-1:2])
     np.testing.assert_array_equal(trajectory.u[:, 0, 0], np.repeat(np.arange(5.0), 2))
+
+
+# Rows that begin at different times
+
+
+@pytest.mark.parametrize("kind", ["additive", "force", "actuator"])
+@pytest.mark.parametrize("timed", [False, True])
+def test_rows_that_begin_at_different_times_are_the_runs_alone(kind, timed):
+    overrides = [
+        f"process_noise={{kind='{kind}', density=0.01, schedule=[[0.04, 1.0], [9.0, 4.0]]}}",
+        "channels.gyro={rate=50.0, jitter=0.002, latency_std=0.01}",
+        "channels.accel={dropout=0.3, schedule=[[0.03, 1.0], [9.0, 3.0]]}",
+        "model.timestep=0.002", "model.frame_skip=5",
+        "truth.draw.'body_mass.pole'.relative_std=0.1",
+    ]  # fmt: skip
+    prepared = setup.build(experiment.resolve("cartpole_imu", duration=0.3, overrides=overrides))
+    beginnings = {0: ([0, 1, 2], [0, 1, 2]), 3: ([1], [3]), 5: ([2, 0], [4, 5]), 6: ([1], [0])}
+
+    def followed(fleet):
+        """(row, run, ticks since the start, x and what arrives)."""
+        for period in range(12):
+            fleet.begin(period)
+            for event, _, arrived in fleet.period():
+                elapsed = event.tick - fleet.simulator.clocks.tick + fleet.simulator.clocks.elapsed
+                for row in range(fleet.rows) if event.rows is None else np.flatnonzero(event.rows):
+                    said = [fleet.simulator.x[row].tolist()]
+                    for d in arrived:
+                        if d.mask is None or d.mask[row]:
+                            ago = event.tick - d.taken
+                            said.append((d.channel, ago, d.y[row].tolist()))
+                    yield row, int(fleet.runs[row]), int(elapsed[row]), said
+
+    alone = {
+        run: {ticks: said for *_, ticks, said in followed(Fleet.alone(prepared, run))}
+        for run in range(6)
+    }
+    compared = 0
+    for row, run, ticks, said in followed(Fleet(prepared, 3, beginnings, timed)):
+        assert said == alone[run][ticks], f"row {row}, run {run}, tick {ticks}"
+        compared += len(said)
+    assert compared > 100

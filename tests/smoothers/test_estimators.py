@@ -9,15 +9,15 @@ from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.protocol import FilterHistory, Measurement, Smoother
 from estbench.experiment import setup
-from estbench.inference.event_loop import Recorded, run_filter
+from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
-from estbench.simulation.truth import simulate
+from estbench.simulation.sources import Recorded
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
-from tests.helpers import linear_model, random_cov
+from tests.helpers import linear_model, random_cov, simulated
 
 RUNS = 4
 
@@ -81,11 +81,7 @@ def test_a_window_starts_from_the_filter_and_knows_its_own_measurements(window, 
 
 def recorded(robot="pendulum", *overrides, duration=0.3):
     prepared = setup.build(experiment.resolve(robot, duration=duration, overrides=overrides))
-    with engine():
-        trajectory = simulate(
-            prepared.simulator(range(RUNS)), prepared.controller(range(RUNS)), prepared.plant.period
-        )
-    return prepared, Recorded(prepared.instants, trajectory)
+    return prepared, Recorded(prepared.instants, simulated(prepared, RUNS))
 
 
 def traced(estimator, prepared, source, delays=None):
@@ -110,7 +106,7 @@ def test_what_is_judged_is_the_smoothed_run_and_the_filters_innovations(robot):
     posteriors = [
         Gaussian(m, P, np.zeros(RUNS, np.uint8)) for m, P in zip(filtered.mean, filtered.cov)
     ]
-    controls = [source.control(k, np.empty(0)) for k in range(len(source.instants))]
+    controls = [source.control(k, np.empty(0)) for k in range(len(source.events))]
     with engine():
         expected = rts(prepared.model(), posteriors, controls, prepared.times.tolist())
     np.testing.assert_allclose(smoothed.mean, [b.mean for b in expected], rtol=1e-10, atol=1e-12)

@@ -6,9 +6,9 @@ import pytest
 from estbench.errors import EstbenchError, StoreError
 from estbench.experiment import setup
 from estbench.report.figures import sensors as sensor_picture
-from estbench.robots.library import engine
 from estbench.scenario.load import resolve
-from estbench.simulation.truth import simulate
+from estbench.simulation.sources import record
+from tests.helpers import driven
 
 pytest.importorskip("matplotlib")
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -22,9 +22,7 @@ def delayed():
 def test_a_record_is_what_the_run_saw(delayed):
     records = {r.channel.name: r for r in sensor_picture.record(delayed, 0.5, 3)}
     assert list(records) == ["accel", "gyro", "position", "height", "compass"]
-    simulator = delayed.simulator([3])
-    with engine():
-        trajectory = simulate(simulator, delayed.controller([3]), delayed.plant.period)
+    trajectory = record(driven(delayed, [3]))
     position = records["position"]
     np.testing.assert_allclose(position.taken, [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_allclose(position.arrived, position.taken + 0.08)
