@@ -26,6 +26,7 @@ from estbench.shapes import Array, Ints
 from estbench.simulation import sources
 from estbench.simulation.sources import Trajectory
 from estbench.simulation.truth import Simulator
+from estbench.spaces.manifold import Manifold
 
 SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
 CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
@@ -280,6 +281,38 @@ def nonlinear_model(n: int = 2, jacobians: bool = True, batched: bool = True) ->
         0.05 * random_cov(np.random.default_rng(n + 1), k + 1), n_controls=1, batched=batched,
         f_jacobian=f_jacobian if jacobians else None, h_jacobian=h_jacobian if jacobians else None,
     )  # fmt: skip
+
+
+class ChannelModel:
+    """A model whose measurement comes in channels.
+
+    Args:
+        model: any that has one channel.
+        components: channel -> the components of the measurement that are its own.
+    """
+
+    def __init__(self, model: Any, components: Mapping[str, Sequence[int]]):
+        self._model, self._components = model, components
+        self.space, self.nu = model.space, model.nu
+        self.transition, self.transition_jacobian = model.transition, model.transition_jacobian
+        self.process_noise = model.process_noise
+
+    def output(self, channels=None) -> Manifold:
+        return Manifold.euclidean(len(self._of(channels)))
+
+    def measurement(self, x, u, t, channels=None):
+        return self._model.measurement(x, u, t)[..., self._of(channels)]
+
+    def measurement_jacobian(self, x, u, t, channels=None):
+        h, H = self._model.measurement_jacobian(x, u, t)
+        return h[..., self._of(channels)], H[..., self._of(channels), :]
+
+    def measurement_noise(self, t, channels=None):
+        which = self._of(channels)
+        return self._model.measurement_noise(t)[..., which, :][..., which]
+
+    def _of(self, channels) -> list[int]:
+        return [i for name in channels or self._components for i in self._components[name]]
 
 
 def simulated(prepared: Setup, runs: int) -> Trajectory:

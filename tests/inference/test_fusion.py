@@ -18,7 +18,7 @@ from estbench.sensors.clock import Clocks
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Schedule, Timing
 from estbench.spaces.manifold import Manifold
-from tests.helpers import nonlinear_model, random_cov
+from tests.helpers import ChannelModel, nonlinear_model, random_cov
 
 ROWS, PERIODS = 5, 14
 # Control periods of 3 ticks, divided at every second and every fifth tick of an episode.
@@ -32,31 +32,8 @@ BEGINNINGS = {
 }  # fmt: skip
 
 
-class Channels:
-    """A model of two channels, which are parts of one measurement."""
-
-    def __init__(self):
-        self.model = nonlinear_model(4)
-        self.space, self.nu = self.model.space, self.model.nu
-        for name in ("transition", "transition_jacobian", "process_noise"):
-            setattr(self, name, getattr(self.model, name))
-
-    def _of(self, channels):
-        return [i for name in channels or COMPONENTS for i in COMPONENTS[name]]
-
-    def output(self, channels=None):
-        return Manifold.euclidean(len(self._of(channels)))
-
-    def measurement(self, x, u, t, channels=None):
-        return self.model.measurement(x, u, t)[..., self._of(channels)]
-
-    def measurement_jacobian(self, x, u, t, channels=None):
-        h, H = self.model.measurement_jacobian(x, u, t)
-        return h[..., self._of(channels)], H[..., self._of(channels), :]
-
-    def measurement_noise(self, t, channels=None):
-        which = self._of(channels)
-        return self.model.measurement_noise(t)[..., which, :][..., which]
+def model() -> Any:
+    return ChannelModel(nonlinear_model(4), COMPONENTS)
 
 
 @dataclass(frozen=True)
@@ -79,7 +56,7 @@ class Undivided(EKF):
 
 
 def made(kind):
-    return Undivided(Channels()) if kind == "whole" else registry.create(kind, {}, Channels())
+    return Undivided(model()) if kind == "whole" else registry.create(kind, {}, model())
 
 
 @cache
@@ -114,7 +91,7 @@ def arriving(event, began, runs):
                 out[key] = Delivery(
                     channel, np.zeros(rows, np.int64), empty, np.zeros(rows, bool), key[1]
                 )
-            d = out[key]
+            d: Any = out[key]
             d.y[row], d.mask[row], d.due[row] = y, True, due + began[row]
     return [out[key] for key in sorted(out)]
 
@@ -197,7 +174,7 @@ def test_going_back_is_the_posterior_of_readings_on_time():
     final = {
         row: (x, P) for row, _, _, x, P, *_ in filtered("ekf", DELAYS["wide"], ROWS, BEGINNINGS, 10)
     }
-    ekf = EKF(Channels())
+    ekf = EKF(model())
     for row, (begun, run) in enumerate([(5, 6), (6, 8), (0, 2), (7, 2), (7, 9)]):
         instants = [i for k in range(10 - begun) for i in SCHEDULE.period(k)]
         belief, now = ekf.init(*(each[None] for each in start_of(run))), instants[-1].tick
@@ -214,7 +191,7 @@ def test_going_back_is_the_posterior_of_readings_on_time():
 
 def test_a_row_that_begins_anew_forgets_what_was_too_late():
     delays = Delays(window=1)
-    counts: dict[int, list[tuple[int, int]]] = {}
+    counts: dict[Any, list[tuple[int, int]]] = {}
     for row, _, elapsed, _, _, late, _ in filtered("ekf", delays, ROWS, BEGINNINGS, PERIODS):
         counts.setdefault(row, []).append((elapsed, late))
     before = 0
@@ -232,7 +209,7 @@ def test_a_belief_that_cannot_be_taken_apart_stays_as_it_was():
         def init(self, mean, cov):
             return [super().init(mean, cov), object()]
 
-    lists = Lists(Channels())
+    lists = Lists(model())
     mean, cov = (np.array(each) for each in zip(*[start_of(run) for run in range(3)]))
     log = LatestInnovations(SPACES, 3)
     before = lists.init(mean, cov)

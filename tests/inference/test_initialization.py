@@ -146,8 +146,8 @@ def test_the_scenarios_start_and_an_estimators_own():
 
 def test_the_truth_does_not_depend_on_the_start():
     runs = range(3)
-    a = prepared().simulator(runs).x0
-    b = prepared("start.offset.hinge=0.5", "start.inflate=10.0").simulator(runs).x0
+    a = prepared().simulator(runs).x
+    b = prepared("start.offset.hinge=0.5", "start.inflate=10.0").simulator(runs).x
     np.testing.assert_array_equal(a, b)
 
 

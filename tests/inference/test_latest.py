@@ -1,6 +1,7 @@
 """What a step's updates say row by row; a late reading says what it adds to those of its time."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Instant
 from estbench.spaces.manifold import Manifold
-from tests.helpers import random_cov
+from tests.helpers import ChannelModel, random_cov
 
 SPACES = {"a": Manifold.euclidean(1), "b": Manifold.euclidean(2, ["x", "y"])}
 ROWS = 3
@@ -144,40 +145,19 @@ def test_a_row_that_begins_anew_has_none():
     np.testing.assert_array_equal(log.dof, [2, 0, 2])
 
 
-class Two:
-    """A linear model with a channel of one component and one of two."""
-
-    def __init__(self):
-        rng = np.random.default_rng(0)
-        self.R, self.C = random_cov(rng, 3), rng.standard_normal((3, 2))
-        self.R[0, 1:] = self.R[1:, 0] = 0.0
-        model = LinearModel(np.array([[1.0, 0.1], [-0.1, 0.9]]), self.C, 0.1 * np.eye(2), self.R)
-        self.space, self.nu, self._model = model.space, model.nu, model
-        for name in ("transition", "transition_jacobian", "process_noise"):
-            setattr(self, name, getattr(model, name))
-
-    def _of(self, channels):
-        return [i for name in channels or SPACES for i in {"a": [0], "b": [1, 2]}[name]]
-
-    def output(self, channels=None):
-        return Manifold.euclidean(len(self._of(channels)))
-
-    def measurement(self, x, u, t, channels=None):
-        return self._model.measurement(x, u, t)[..., self._of(channels)]
-
-    def measurement_jacobian(self, x, u, t, channels=None):
-        h, H = self._model.measurement_jacobian(x, u, t)
-        return h[..., self._of(channels)], H[..., self._of(channels), :]
-
-    def measurement_noise(self, t, channels=None):
-        which = self._of(channels)
-        return self.R[which][:, which]
+def two_channels() -> Any:
+    """A linear model with a channel of one component and one of two, of independent noise."""
+    rng = np.random.default_rng(0)
+    A, R = np.array([[1.0, 0.1], [-0.1, 0.9]]), random_cov(rng, 3)
+    R[0, 1:] = R[1:, 0] = 0.0
+    model = LinearModel(A, rng.standard_normal((3, 2)), 0.1 * np.eye(2), R)
+    return ChannelModel(model, {"a": [0], "b": [1, 2]})
 
 
 def test_the_nis_of_a_late_reading_is_the_joint_one_less_that_of_the_others():
     """Against the joint update by hand; what a late reading adds is its conditional NIS."""
-    model, rng = Two(), np.random.default_rng(1)
-    kf, y = KF(model), rng.standard_normal((3, ROWS, 3))
+    rng = np.random.default_rng(1)
+    kf, y = KF(two_channels()), rng.standard_normal((3, ROWS, 3))
     mean, cov = rng.standard_normal((ROWS, 2)), random_cov(rng, 2, ROWS)
     log = LatestInnovations(SPACES, ROWS, revised=True)
     fusion = Fusion(kf, kf.init(mean, cov), Inbox(SPACES), Delays(window=5), log)
