@@ -16,7 +16,7 @@ def test_a_wrong_shape_is_found():
     Gaussian(np.zeros((2, 3)), np.zeros((2, 3, 3)), faults)
     with pytest.raises(BeartypeDoorHintViolation, match=r"Gaussian\.__init__: cov"):
         Gaussian(np.zeros((2, 3)), np.zeros((1, 3, 3)), faults)
-    with pytest.raises(BeartypeDoorHintViolation, match="rotation.conjugate: q"):
+    with pytest.raises(BeartypeDoorHintViolation, match=r"rotation\.conjugate: q"):
         rotation.conjugate(np.zeros((2, 1)))
 
 
