@@ -7,7 +7,7 @@ from beartype.roar import BeartypeDoorHintViolation
 from estbench.estimators.beliefs import Gaussian, check_prior
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import weighted
+from estbench.spaces import rotation
 from tests import typecheck
 
 
@@ -16,8 +16,8 @@ def test_a_wrong_shape_is_found():
     Gaussian(np.zeros((2, 3)), np.zeros((2, 3, 3)), faults)
     with pytest.raises(BeartypeDoorHintViolation, match=r"Gaussian\.__init__: cov"):
         Gaussian(np.zeros((2, 3)), np.zeros((1, 3, 3)), faults)
-    with pytest.raises(BeartypeDoorHintViolation, match="weighted: points"):
-        weighted(np.zeros(1), np.zeros((2, 3)))
+    with pytest.raises(BeartypeDoorHintViolation, match=r"rotation\.conjugate: q"):
+        rotation.conjugate(np.zeros((2, 1)))
 
 
 def test_a_wrong_result_is_found():
