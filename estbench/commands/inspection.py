@@ -12,7 +12,6 @@ from estbench.errors import EstbenchError, ScenarioError
 from estbench.experiment import setup
 from estbench.models import observability
 from estbench.robots import mjcf
-from estbench.robots.batch import engine
 from estbench.scenario.schema import FilterSection, Scenario, TruthSection
 from estbench.sensors.description import ChannelDescription
 
@@ -136,11 +135,10 @@ def _warnings(prepared: setup.Setup) -> list[str]:
             warnings.append(
                 f"sensor '{sensor.name}' interpolates its history: estbench delivers the samples"
             )
-    with engine():
-        hidden = observability.unseen(
-            prepared.model(), prepared.mean, prepared.plant.u0, prepared.plant.period,
-            np.sqrt(np.diag(prepared.cov)),
-        )  # fmt: skip
+    hidden = observability.unseen(
+        prepared.model(), prepared.mean, prepared.plant.u0, prepared.plant.period,
+        np.sqrt(np.diag(prepared.cov)),
+    )  # fmt: skip
     if hidden:
         warnings.append(f"no sensor can see {', '.join(hidden)} (linearized at the initial state)")
     return warnings
