@@ -137,8 +137,8 @@ class Watch:
                 arrived = self.suite.read(event.tick, end, x, u, event.rows)
                 if self.filter is not None:
                     self.filter.step(event, u, arrived)
-        if self.filter is not None:
-            self.filter.settle()
+            if self.filter is not None:
+                self.filter.settle()
 
     def info(self, x: Array) -> dict[str, Any]:
         """What `info` says of every row: see `LiveFilter.info`; without a filter, the truth."""

@@ -171,8 +171,8 @@ class World:
                 arrived = self.simulator.advance(event, self.u)
                 if self.filter is not None:
                     self.filter.step(event, self.u, arrived)
-        if self.filter is not None:
-            self.filter.settle()
+            if self.filter is not None:
+                self.filter.settle()
         x = self.simulator.x
         reward, ended = self.task.reward(x, self.u)
         late = ~ended & (self.elapsed >= self.task.steps)

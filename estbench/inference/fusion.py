@@ -109,11 +109,16 @@ class Fusion:
             The number of the first event that may be updated again.
         """
         k = self._count
-        first = np.full(len(self.late), k)
+        first: Ints | None = None
         for delivery in arrived:
-            self._file(k, event, delivery, first)
-        oldest = int(first.min())
-        if oldest < k:
+            tick = self._stamp(event, delivery)
+            if isinstance(tick, int) and tick >= event.tick:
+                self._inbox.add(k, delivery)
+                continue
+            first = np.full(len(self.late), k) if first is None else first
+            self._file(k, event, tick, delivery, first)
+        oldest = k if first is None else int(first.min())
+        if first is not None and oldest < k:
             self.belief = self._replayed(k, oldest, first)
         self.belief = self._predict(event, self.belief, u)
         step = _Step(event, u, self.belief, self._began)
@@ -124,12 +129,26 @@ class Fusion:
         self.belief = self._update(k, step, self.belief)
         return self._forget(event.tick)
 
-    def _file(self, k: int, event: Event, delivery: Delivery, first: Ints) -> None:
-        """Put a delivery where it is to be fused, and note the event `(row,)` it goes back to."""
-        place = self._place(k, event, delivery)
-        if isinstance(place, int):
-            self._add(place, delivery, delivery.mask, first)
-            return
+    def _stamp(self, event: Event, delivery: Delivery) -> int | Ints:
+        """The tick to which the filter thinks a reading belongs; `(row,)` where the rows differ."""
+        channel, delays = delivery.channel, self._delays
+        if delays.handling == "naive":
+            return event.tick
+        if channel in delays.believed:
+            return event.tick - delays.believed[channel]
+        return delivery.due if channel in delays.nominal else delivery.taken
+
+    def _file(
+        self, k: int, event: Event, tick: int | Ints, delivery: Delivery, first: Ints
+    ) -> None:
+        """Put a late delivery where it is to be fused, and note what it goes back to `(row,)`."""
+        if isinstance(tick, int):
+            number = self._last(k, event, tick)
+            if number < 0 or not self._began_after(number):
+                self._add(number, delivery, delivery.mask, first)
+                return
+            tick = np.full(len(first), tick)
+        place = self._last_of_rows(k, event, tick)
         came = np.ones(len(first), bool) if delivery.mask is None else delivery.mask
         for number in np.unique(place[came]).tolist():
             self._add(number, delivery, came & (place == number), first)
@@ -142,28 +161,8 @@ class Fusion:
         came = ALL if mask is None else mask
         first[came] = np.minimum(first[came], number)
 
-    def _place(self, k: int, event: Event, delivery: Delivery) -> int | Ints:
-        """The event at which the filter fuses a reading that arrives at the k-th; -1 if too late.
-
-        Where the rows differ `(row,)`.
-        """
-        channel, delays = delivery.channel, self._delays
-        if delays.handling == "naive":
-            return k
-        tick: int | Ints = delivery.due if channel in delays.nominal else delivery.taken
-        if channel in delays.believed:
-            tick = event.tick - delays.believed[channel]
-        if isinstance(tick, int):
-            number = self._last(k, event, tick)
-            if number < 0 or not self._began_after(number):
-                return number
-            tick = np.full(len(self._start), tick)
-        return self._last_of_rows(k, event, tick)
-
     def _last(self, k: int, event: Event, tick: int) -> int:
         """The last event that ends at a tick or before, -1 where that is beyond the window."""
-        if tick >= event.tick:
-            return k
         steps = self._steps
         place = bisect_right(steps, tick, key=lambda step: step.event.tick) - 1
         if place < 0 or event.tick - steps[place].event.tick > self._delays.window:

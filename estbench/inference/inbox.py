@@ -24,7 +24,7 @@ class JointMeasurement:
     mask: Mask | None
 
 
-Layer = dict[str, tuple[Array, Mask]]
+Layer = dict[str, tuple[Array, Mask | None]]
 
 
 class Inbox:
@@ -44,12 +44,15 @@ class Inbox:
         self._joints.pop(instant, None)
         layers = self._filed.setdefault(instant, [])
         channel, y = delivery.channel, delivery.y
-        came = np.ones(len(y), bool) if delivery.mask is None else delivery.mask
+        came = delivery.mask
         for layer in layers:
             if channel not in layer:
                 layer[channel] = y, came
                 return
             first, had = layer[channel]
+            if had is None:
+                continue
+            came = np.ones(len(y), bool) if came is None else came
             layer[channel] = np.where(had[:, None], first, y), had | came
             came = came & had
             if not came.any():
@@ -74,10 +77,10 @@ class Inbox:
         channels = tuple(name for name in self.spaces if name in layer)
         parts = [layer[name] for name in channels]
         y = np.concatenate([part for part, _ in parts], axis=1) if len(parts) > 1 else parts[0][0]
-        if all(came.all() for _, came in parts):
+        if all(came is None or came.all() for _, came in parts):
             return JointMeasurement(channels, y, None)
         columns = [
-            np.broadcast_to(came[:, None], (len(y), self.spaces[name].n))
+            np.broadcast_to(True if came is None else came[:, None], (len(y), self.spaces[name].n))
             for name, (_, came) in zip(channels, parts)
         ]
         return JointMeasurement(channels, y, np.concatenate(columns, axis=1))

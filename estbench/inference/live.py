@@ -42,7 +42,8 @@ class LiveFilter:
     """The beliefs of many robots, and what became of them in the last step.
 
     All rows are one batch, unless what is computed depends on the time (`by_clock`) or the belief
-    cannot be taken apart by rows: then rows that begin together are one.
+    cannot be taken apart by rows: then rows that begin together are one. A row that breaks down is
+    marked: call `step` and `settle` under `linalg.quiet`.
 
     Args:
         estimator: any object of the protocol.
@@ -103,9 +104,8 @@ class LiveFilter:
 
     def step(self, event: Event, u: Array, arrived: Sequence[Delivery]) -> None:
         """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there."""
-        with quiet():
-            for cohort in self._cohorts:
-                self._guard(lambda cohort=cohort: self._advance(cohort, event, u, arrived))
+        for cohort in self._cohorts:
+            self._guard(lambda cohort=cohort: self._advance(cohort, event, u, arrived))
 
     def settle(self) -> None:
         """Take estimates, covariances and innovations from the beliefs at the end of a step."""

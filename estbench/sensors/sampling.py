@@ -72,7 +72,10 @@ class Sampler:
         # Of each row: where its episode began, its next reading, when that is due and taken.
         self._begin, self._number = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
         self._due, self._next = np.zeros(rows, np.int64), np.full(rows, NEVER)
-        self._shared: int | None = None  # the next, where it is the same in all rows
+        self._shared: int | None = None  # the next, where it is the same in all rows,
+        self._shared_number, self._shared_begin = 0, 0  # its number, and where they began
+        self._exact = not channel.cov.any()  # ⊞ 0 would round a quaternion
+        self._late = bool(timing.latency or timing.latency_std)
         self._waiting: list[tuple[int, Delivery]] = []
         self._soonest = NEVER
 
@@ -99,12 +102,13 @@ class Sampler:
             self._switch_on(self.channel.imperfections, rows, here, seed, runs)
         self._begin[rows], self._number[rows] = tick, 0
         self._plan(here)
-        self._waiting = [
+        others = [
             (at, replace(d, mask=~here if d.mask is None else d.mask & ~here))
             for at, d in self._waiting
         ]
+        self._waiting = [(at, d) for at, d in others if d.mask is not None and d.mask.any()]
         if here.all() and not timing.jitter:
-            self._shared = int(self._next[0])
+            self._shared, self._shared_number, self._shared_begin = int(self._next[0]), 0, tick
 
     def takes(self, tick: int) -> bool:
         """Whether any row takes a reading at this tick."""
@@ -122,8 +126,7 @@ class Sampler:
         """
         if clean is not None:
             delivery, number = self._take(tick, clean, moved)
-            timing = self.channel.timing
-            if not (timing.latency or timing.latency_std):
+            if not self._late:
                 return [delivery]
             self._send(delivery, number)
         return self._receive(tick, moved) if tick >= self._soonest else []
@@ -149,12 +152,11 @@ class Sampler:
         self._soonest = min((at for at, _ in waiting), default=NEVER)
         return arrived
 
-    def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, Ints]:
+    def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, int | Ints]:
         """The readings that are due, and the number of each row's."""
         if self._shared is not None and moved is None:
-            due, here, number = self._shared, None, self._number[:1].copy()
-            y, got = self._read(clean, None, due - int(self._begin[0]))
-            self._number += 1
+            due, here, number = self._shared, None, self._shared_number
+            y, got = self._read(clean, None, due - self._shared_begin)
             self._shared = self._upcoming(tick)
         else:
             self._separate()
@@ -168,7 +170,7 @@ class Sampler:
         mask = got if here is None else here if got is None else here & got
         return Delivery(self.channel.name, due, y, mask, tick), number
 
-    def _send(self, delivery: Delivery, number: Ints) -> None:
+    def _send(self, delivery: Delivery, number: int | Ints) -> None:
         """Put readings on their way, those that arrive together as one delivery."""
         timing, normal = self.channel.timing, 0.0
         mask = np.ones(self._rows, bool) if delivery.mask is None else delivery.mask
@@ -196,8 +198,7 @@ class Sampler:
         if channel.schedule is not None:
             noise = self._scheduled(noise, due)
         if part is None or self._memory is None:
-            exact = not channel.cov.any()  # ⊞ 0 would round a quaternion
-            return (clean if exact else channel.space.plus(clean, noise)), None
+            return (clean if self._exact else channel.space.plus(clean, noise)), None
         draws = {purpose: numbers.draw(here) for purpose, numbers in self._draws.items()}
         time = np.full((self._rows, 1), channel.timing.timestep)
         time *= due if isinstance(due, int) else due[:, None]
@@ -238,18 +239,17 @@ class Sampler:
         """From now on each row has its own next reading."""
         if self._shared is not None:
             self._due[:] = self._next[:] = self._shared
-            self._shared = None
+            self._number[:], self._shared = self._shared_number, None
 
     def _upcoming(self, tick: int) -> int:
         """The tick of the next reading of all rows, after this one."""
-        begin, timing = int(self._begin[0]), self.channel.timing
         while True:
-            due = int(timing.due_tick(self._number[0]))
+            self._shared_number += 1
+            due = int(self.channel.timing.due_tick(self._shared_number))
             if self._last is not None and due > self._last:
                 return NEVER
-            if begin + due > tick:
-                return begin + due
-            self._number += 1
+            if self._shared_begin + due > tick:
+                return self._shared_begin + due
 
     def _plan(self, here: Mask) -> None:
         """When some rows take their next reading."""

@@ -9,6 +9,7 @@ plus the latency; without latency it arrives when it is sampled.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -133,7 +134,7 @@ class Timing:
         due = self.due_tick(np.arange(max(0, int((ticks - first) / interval) + 1)))
         return due[due <= ticks]
 
-    def due_tick(self, reading: Ints) -> Ints:
+    def due_tick(self, reading: int | Ints) -> Any:
         """The tick at which the readings of these numbers, from 0, are due."""
         if self.fractional is None:
             return (self.phase or self.period) + self.period * reading
@@ -152,7 +153,7 @@ class Timing:
         off = np.floor(uniform * (2 * self.jitter + 1)).astype(np.int64) - self.jitter
         return np.maximum(due + off, 1)
 
-    def arrival_tick(self, sampled: Ints, reading: Ints, normal: Array | float = 0.0) -> Ints:
+    def arrival_tick(self, sampled: Ints, reading: int | Ints, normal: Array | float = 0.0) -> Ints:
         """The tick at which a reading arrives that was taken at `sampled`.
 
         A random latency is a normal number, but never negative.
