@@ -87,7 +87,10 @@ class Watch:
             spaces = {c.name: c.space for c in adopted.channels}
             own = type(made).__module__.startswith("estbench.")
             timed = not own or depends_on_time(made)
-            timed = timed or any(c.schedule is not None for c in adopted.channels)
+            timed = timed or any(
+                c.schedule is not None or c.measurand.depends_on_time(adopted.model)
+                for c in adopted.channels
+            )
             self.filter = LiveFilter(
                 made, self.space, spaces, rows, Delays(window=window), by_clock=timed
             )

@@ -114,15 +114,12 @@ class Setup:
         a fit of the first readings, and an estimator that says so (`TimeDependent`). A user's own
         estimator may always depend on the time.
         """
-        model, clock = self.filter_model, mujoco.mjtSensor.mjSENS_CLOCK
-        used = [i for channel in self.channels for i in channel.measurand.sensors]
         estimator = registry.resolve(str(self.settings(label).get("type", label)))
         return bool(
             self.start(label).method != "prior"
             or self.filter_disturbance.schedule is not None
             or any(channel.scale is not None for channel in self.filter_channels)
-            or any(channel.measurand.function is not None for channel in self.channels)
-            or (model.sensor_type[used] == clock).any()
+            or any(c.measurand.depends_on_time(self.plant.model) for c in self.channels)
             or not estimator.__module__.startswith("estbench.")
             or depends_on_time(self.estimator(label))
         )
