@@ -12,6 +12,7 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import features
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
+from estbench.estimators.protocol import depends_on_time
 from estbench.inference.fusion import Delays
 from estbench.inference.live import LiveFilter
 from estbench.randomness import streams
@@ -85,7 +86,11 @@ class Watch:
             window = latest if latest > self.frame_skip else 0
             spaces = {c.name: c.space for c in adopted.channels}
             own = type(made).__module__.startswith("estbench.")
-            timed = not own or any(c.schedule is not None for c in adopted.channels)
+            timed = not own or depends_on_time(made)
+            timed = timed or any(
+                c.schedule is not None or c.measurand.depends_on_time(adopted.model)
+                for c in adopted.channels
+            )
             self.filter = LiveFilter(
                 made, self.space, spaces, rows, Delays(window=window), by_clock=timed
             )

@@ -59,6 +59,11 @@ class LKF(GaussianEstimator):
         if self.handover_sigma is not None:
             in_range(self, "handover_sigma", 0.0)
 
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether what is computed depends on the time: with `handover_time` it does."""
+        return self.handover_time is not None
+
     def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> NominalBelief:
         """Start from N(mean, cov); the mean is also the nominal state."""
         start = super().init(mean, cov)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from estbench.estimators.protocol import Estimator, Innovation
+from estbench.estimators.protocol import Estimator, Innovation, depends_on_time
 from estbench.models.protocol import Channels
 from estbench.shapes import Array, Bool, Float, Mask
 
@@ -11,6 +11,11 @@ class OverFilter:
     """Delegates prediction and update to `_filter`; the belief is that of this filter."""
 
     _filter: Estimator
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether the filter is a `TimeDependent` one."""
+        return depends_on_time(self._filter)
 
     def predict(self, belief: Any, u: Float[Array, "run nu"], t: float, dt: float) -> Any:
         """The prediction of the filter."""

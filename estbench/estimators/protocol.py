@@ -90,6 +90,21 @@ class ScheduleCheck(Protocol):
         ...
 
 
+@runtime_checkable
+class TimeDependent(Protocol):
+    """An optional attribute of an estimator, for rows whose clocks differ."""
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether the estimator itself, apart from its model, uses `t` of predict or update."""
+        ...
+
+
+def depends_on_time(estimator: Any) -> bool:
+    """Whether an estimator says that it depends on the time; one that says nothing does not."""
+    return isinstance(estimator, TimeDependent) and estimator.depends_on_time
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """One measurement, with the arguments of `Estimator.update`."""

@@ -12,7 +12,7 @@ import numpy as np
 from estbench.consistency.records import RESERVED
 from estbench.errors import EstbenchError, EstimatorError, ScenarioError, user_error_location
 from estbench.estimators import registry
-from estbench.estimators.protocol import Estimator, ScheduleCheck
+from estbench.estimators.protocol import Estimator, ScheduleCheck, depends_on_time
 from estbench.experiment import build as resolution
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
@@ -110,19 +110,18 @@ class Setup:
     def depends_on_time(self, label: str) -> bool:
         """Whether what the estimator of that label computes may depend on the time.
 
-        Schedules, functions of the state that are given the time and MuJoCo's clocks do, and a fit
-        of the first readings; what a user's own estimator does nobody knows.
+        It does with a schedule, a function of the state (it is given the time), a `clock` sensor,
+        a fit of the first readings, and an estimator that says so (`TimeDependent`). A user's own
+        estimator may always depend on the time.
         """
-        model, clock = self.filter_model, mujoco.mjtSensor.mjSENS_CLOCK
-        used = [i for channel in self.channels for i in channel.measurand.sensors]
         estimator = registry.resolve(str(self.settings(label).get("type", label)))
         return bool(
             self.start(label).method != "prior"
             or self.filter_disturbance.schedule is not None
             or any(channel.scale is not None for channel in self.filter_channels)
-            or any(channel.measurand.function is not None for channel in self.channels)
-            or (model.sensor_type[used] == clock).any()
+            or any(c.measurand.depends_on_time(self.plant.model) for c in self.channels)
             or not estimator.__module__.startswith("estbench.")
+            or depends_on_time(self.estimator(label))
         )
 
     def settings(self, label: str) -> dict[str, Any]:

@@ -51,6 +51,11 @@ class Measurand:
         columns = sensor_columns(model, self.sensors)
         return columns if self.axes is None else columns[list(self.axes)]
 
+    def depends_on_time(self, model: mujoco.MjModel) -> bool:
+        """Whether the reading depends on the time: a function, or a `clock` sensor."""
+        clock = model.sensor_type[list(self.sensors)] == mujoco.mjtSensor.mjSENS_CLOCK
+        return self.function is not None or bool(clock.any())
+
     def call(
         self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float
     ) -> Float[Array, "*lead m"]:

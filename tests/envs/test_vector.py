@@ -218,3 +218,20 @@ def test_bad_calls():
         env.step(np.array([[0.0], [2.0]]))
     with pytest.raises(EnvError, match=r"action has shape \(1, 1\); expected \(2, 1\)"):
         env.step(np.zeros((1, 1)))
+
+
+def test_an_estimator_that_uses_the_time_sees_the_clock_of_its_row():
+    """The LKF of a row that begins anew is handed over at a time of that row's episode."""
+    lkf = {"type": "lkf", "handover_time": 0.1}
+    kwargs = {"estimator": lkf, "overrides": ["initial.std={'*'=0.5}"]}
+    vector = gym.make_vec("estbench/Pendulum-v0", 2, autoreset_mode="Disabled", **kwargs)
+    scalar = gym.make("estbench/Pendulum-v0", **kwargs)
+    vector.reset(seed=[3, 4])
+    u = np.full((2, 1), 0.2, np.float32)
+    for _ in range(15):
+        vector.step(u)
+    vector.reset(seed=[None, 9], options={"reset_mask": np.array([False, True])})
+    scalar.reset(seed=9)
+    for _ in range(20):
+        info, own = vector.step(u)[-1], scalar.step(u[0])[-1]
+        np.testing.assert_allclose(info["estimate"][1], own["estimate"], rtol=1e-9, atol=1e-9)

@@ -127,3 +127,31 @@ def test_bad_input():
         [env.step(np.ones((2, 1))) for _ in range(100)]
     with pytest.raises(EnvError, match=r"action\[1, 0\] is 9"):
         env.step(np.array([[0.0], [9.0]]))
+
+
+def test_a_function_of_the_time_sees_the_clock_of_its_row(tmp_path, monkeypatch):
+    """Also in the filter's model, in a row that begins anew while the other goes on."""
+    text = (
+        "import numpy as np\n\n\ndef wave(x, u, t):\n    return x[..., :1] * (1 + np.sin(5 * t))\n"
+    )
+    (tmp_path / "wave_of_time.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    sensors = {
+        "encoder": {"type": "jointpos", "object": "joint0", "noise": 0.01},
+        "wave": {"function": "wave_of_time:wave", "unit": "m", "noise": 0.01},
+    }
+    kwargs = {"estimator": "ekf", "sensors": sensors, "observe": "state"}
+    disabled = {"autoreset_mode": gym.vector.AutoresetMode.DISABLED}
+    inner = gym.make_vec("Reacher-v5", 2, vectorization_mode="sync", vector_kwargs=disabled)
+    vector = VectorEstimatedObservation(inner, **kwargs)
+    scalar = EstimatedObservation(gym.make("Reacher-v5"), **kwargs)
+    vector.reset(seed=[1, 2])
+    actions = np.full((2, 2), 0.1, np.float32)
+    for _ in range(10):
+        vector.step(actions)
+    vector.reset(seed=[None, 9], options={"reset_mask": np.array([False, True])})
+    scalar.reset(seed=9)
+    for _ in range(5):
+        info, own = vector.step(actions)[-1], scalar.step(actions[0])[-1]
+        np.testing.assert_array_equal(info["truth"][1], own["truth"])
+        np.testing.assert_allclose(info["estimate"][1], own["estimate"], rtol=1e-9, atol=1e-9)
