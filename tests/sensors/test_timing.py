@@ -169,6 +169,8 @@ def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
     assert len(instants(every, 0.01, 2, 0.14)) == 14
     with pytest.raises(ScenarioError, match="16 instants"):
         instants(every, 0.01, 2, 0.16)
+    with pytest.raises(ScenarioError, match="22 instants"):  # 2 steps, and 5 ticks around each
+        instants([("a", Timing(10, jitter=2))], 0.01, 20, 0.4)
 
 
 # MuJoCo's own interval and delay
