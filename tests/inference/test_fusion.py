@@ -14,7 +14,7 @@ from estbench.estimators.ekf import EKF
 from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
 from estbench.inference.latest import LatestInnovations
-from estbench.sensors.clock import Clocks
+from estbench.sensors.clock import Clocks, Event
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Schedule, Timing
 from estbench.spaces.manifold import Manifold
@@ -187,6 +187,25 @@ def test_going_back_is_the_posterior_of_readings_on_time():
                 belief, _ = ekf.update(belief, y, u, i.end, tuple(known))
         np.testing.assert_allclose(final[row][0], belief.mean[0], rtol=0, atol=1e-12)
         np.testing.assert_allclose(final[row][1], belief.cov[0], rtol=0, atol=1e-12)
+
+
+def test_the_shortest_window_holds_the_reading_before():
+    instants = Schedule([("a", Timing(1))], 0.1, 1).period
+    ekf, start = EKF(model()), [each[None] for each in start_of(0)]
+    u, y = np.zeros((1, 1)), np.array([[2.5, 0.9]])
+    log = LatestInnovations(SPACES, 1, True)
+    fusion = Fusion(ekf, ekf.init(*start), Inbox(SPACES), Delays(window=1), log)
+    belief = ekf.init(*start)
+    for k in range(3):
+        (i,) = instants(k)
+        late = [Delivery("a", 1, y, None, 1)] if i.tick == 2 else []
+        fusion.step(Event(i.tick, i), u, late)
+        belief = ekf.predict(belief, u, i.start, i.end - i.start)
+        if i.tick == 1:
+            belief, _ = ekf.update(belief, y, u, i.end, ("a",))
+    assert fusion.late.tolist() == [0]
+    np.testing.assert_array_equal(fusion.belief.mean, belief.mean)
+    np.testing.assert_array_equal(fusion.belief.cov, belief.cov)
 
 
 def test_a_row_that_begins_anew_forgets_what_was_too_late():

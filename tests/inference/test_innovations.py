@@ -115,6 +115,7 @@ def test_what_was_only_gathered_is_not_noted():
     noted.put(1, 0, ("b",), innovation(2, [2, 2, 0]), np.ones((3, 2), bool), ALL)
     noted.put(2, 0, ("b",), innovation(2, [2, 2, 2]), None, ALL)
     found = noted.traces()
+    assert found["innovation_cov"].shape == (4, 3, 3, 3)
     np.testing.assert_array_equal(found["dof"][:, 2], [0, 0, 2])
     np.testing.assert_array_equal(np.isfinite(found["innovation"][1:, 2, 1]), [False, False, True])
     np.testing.assert_array_equal(found["lag_terms"][:, :2], [[4, 2], [4, 2], [2, 0]])

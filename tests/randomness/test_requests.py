@@ -33,14 +33,6 @@ ESTIMATORS = {
     "deterministic": "{type='enkf', form='deterministic', size=20}",
     "pf": "{size=50, threshold=1.0, regularization=0.5}",
 }
-CARTPOLE = [
-    *(
-        setting.replace("gyro", "pole_encoder")
-        for setting in EVERYTHING
-        if ".gyro." in setting and not any(word in setting for word in ("misalignment", "jitter"))
-    ),
-    *EVERYTHING[-4:],
-]
 
 
 @pytest.fixture
@@ -95,12 +87,49 @@ def test_a_run_asks_for_each_stream_once(asked, estimator, observe):
     assert len(asked) > len(drawn) + 3 * 100  # the estimator's own numbers, two for each step
 
 
-def test_an_environments_episodes_ask_for_each_number_once(asked):
-    env = gym.make("estbench/CartPole-v0", overrides=CARTPOLE, estimator="enkf")
-    for seed in (1, 2):
+def check_streams(asked, episodes, looks):
+    """Each stream once, and the same purposes for each episode of an environment."""
+    drawn = {request: count for request, count in asked.items() if request[0] == "stream"}
+    assert twice(drawn) == []
+    # Per episode: start, process, two parameters, the estimator's key, the encoder's noise; of each
+    # IMU channel noise, jitter, latency, 4 constants and 6 sequences; of each channel the look.
+    purposes = Counter(purpose for *_, purpose in drawn)
+    assert len(purposes) == 6 + 2 * 13 + looks
+    assert set(purposes.values()) == {episodes}
+
+
+@pytest.mark.parametrize(("observe", "looks"), [("state", 0), ("raw", 3)])
+@pytest.mark.parametrize("estimator", sorted(ESTIMATORS))
+def test_an_environments_episodes_ask_for_each_number_once(asked, estimator, observe, looks):
+    more = [*EVERYTHING, f"estimators.{estimator}={ESTIMATORS[estimator]}"]
+    env = gym.make(
+        "estbench/Scenario-v0", scenario="cartpole_imu", overrides=more, estimator=estimator,
+        observe=observe,
+    )  # fmt: skip
+    asked.clear()  # the check of the controller draws for run 0
+    for seed in (1, 2, None):  # the last goes on with the seed before
         env.reset(seed=seed)
-        for _ in range(20):
-            env.step(env.action_space.sample())
-    env.reset()
+        for _ in range(40):  # more than a block of draws
+            if any(env.step(env.action_space.sample())[2:4]):
+                break
+    check_streams(asked, 3, looks)
     assert twice(asked) == []
-    assert len(asked) > 20
+    assert sum(request[0] == "counter" for request in asked) > 3 * 10  # the estimator's own numbers
+
+
+@pytest.mark.parametrize(("observe", "looks"), [("state", 0), ("raw", 3)])
+def test_the_rows_of_a_vector_ask_for_each_number_once(asked, observe, looks):
+    more = [*EVERYTHING, f"estimators.enkf={ESTIMATORS['enkf']}"]
+    env = gym.make_vec(
+        "estbench/Scenario-v0", num_envs=6, scenario="cartpole_imu", overrides=more,
+        estimator="enkf", observe=observe,
+    )  # fmt: skip
+    asked.clear()
+    env.reset(seed=7)
+    again = np.array([False, True, False, True, True, False])
+    for _ in range(3):
+        for _ in range(12):
+            env.step(np.zeros((6, 1), np.float32))
+        env.reset(options={"reset_mask": again})
+    # Not the counters: of rows that do not go on, or have no reading, an EnKF draws and discards.
+    check_streams(asked, 6 + 3 * 3, looks)

@@ -382,3 +382,18 @@ def test_a_row_that_has_not_moved_hears_it_later():
         ]
     assert [a for a in arrivals if a[1] == 0] == [(4, 0, 2), (6, 0, 4)]
     assert [a for a in arrivals if a[1] == 1] == [(6, 1, 2)]
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["one clock", "clocks of their own"])
+def test_an_interval_over_several_readings_takes_one_and_keeps_the_rhythm(apart):
+    sampler = sampler_of({"rate": 125}, 2)  # every 2 ticks
+    sampler.start(np.arange(2), 3, [0, 1], 0)
+    if apart:
+        sampler.start(np.array([1]), 3, [2], 0)
+    taken = []
+    for tick in (2, 9, 10, 11, 16, 17, 18):
+        if sampler.takes(tick):
+            (d,) = sampler.at(tick, np.zeros((2, 1)))
+            assert d.mask is None
+            taken.append((d.taken, np.broadcast_to(d.due, 2).tolist()))
+    assert taken == [(2, [2, 2]), (9, [4, 4]), (10, [10, 10]), (16, [12, 12]), (18, [18, 18])]

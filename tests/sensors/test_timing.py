@@ -26,6 +26,12 @@ def test_an_uneven_rhythm_takes_the_first_step_that_is_not_earlier():
     assert Timing(2, fractional=(2.5, 2.5)).due(2).tolist() == []
 
 
+def test_the_first_reading_in_seconds():
+    assert Timing(3, timestep=0.01).first == 0.03
+    assert Timing(3, phase=1, timestep=0.01).first == 0.01
+    assert Timing(2, fractional=(1.5, 2.5), timestep=0.01).first == 0.015
+
+
 def test_jitter_is_uniform_within_its_bound():
     timing = Timing(20, jitter=3)
     off = sampled(timing, 5, range(50), "a", 20 * 200) - timing.due(20 * 200)[:, None]
@@ -163,6 +169,8 @@ def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
     assert len(instants(every, 0.01, 2, 0.14)) == 14
     with pytest.raises(ScenarioError, match="16 instants"):
         instants(every, 0.01, 2, 0.16)
+    with pytest.raises(ScenarioError, match="22 instants"):  # 2 steps, and 5 ticks around each
+        instants([("a", Timing(10, jitter=2))], 0.01, 20, 0.4)
 
 
 # MuJoCo's own interval and delay
