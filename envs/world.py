@@ -16,7 +16,6 @@ from estbench.inference.live import LiveFilter
 from estbench.montecarlo import run as experiment
 from estbench.randomness import streams
 from estbench.randomness.streams import Seeds
-from estbench.robots.controls import ControlRange
 from estbench.scenario import load as scenarios
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array, Ints, Mask
@@ -89,7 +88,6 @@ class World:
         self.setup, self.rows = prepared, rows
         scenario, plant = prepared.scenario, prepared.plant
         self.task = Task.build(scenario, plant)
-        self._range = ControlRange.of(plant.model)
         self._label = next(iter(scenario.estimators))
         timed = filtered and prepared.depends_on_time(self._label)
         self.simulator = prepared.robots(rows, nthread=nthread, look=look, timed=timed)
@@ -155,14 +153,13 @@ class World:
         """One control period under controls `(row, nu)`.
 
         Args:
-            u: controls, in the actuators' units; clamped to their range.
+            u: controls, in the actuators' units; truth and filter clamp them to their range.
             mask: rows that take part; None is all. The others stand still; time passes for them
                 too, so each must begin anew before it takes part again.
 
         Returns:
             Reward, terminated and truncated `(row,)`; 0 and False outside the mask.
         """
-        u = self._range.clamp(u)
         self.u = u if mask is None else np.where(mask[:, None], u, self.u)
         if self.filter is not None:
             self.filter.begin()

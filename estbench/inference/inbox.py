@@ -38,6 +38,7 @@ class Inbox:
         self.spaces = dict(spaces)
         self._filed: dict[int, list[Layer]] = {}
         self._joints: dict[int, list[JointMeasurement]] = {}
+        self._orders: dict[tuple[str, ...], tuple[str, ...]] = {}
 
     def add(self, instant: int, delivery: Delivery) -> None:
         """File a delivery under the instant at which it is to be fused."""
@@ -74,7 +75,10 @@ class Inbox:
             self._joints.pop(old, None)
 
     def _join(self, layer: Layer) -> JointMeasurement:
-        channels = tuple(name for name in self.spaces if name in layer)
+        named = tuple(layer)
+        if named not in self._orders:
+            self._orders[named] = tuple(name for name in self.spaces if name in layer)
+        channels = self._orders[named]
         parts = [layer[name] for name in channels]
         y = np.concatenate([part for part, _ in parts], axis=1) if len(parts) > 1 else parts[0][0]
         if all(came is None or came.all() for _, came in parts):

@@ -54,7 +54,12 @@ class Clocks:
 
     def interval(self, nstep: int, rows: Mask | None = None) -> list[Event]:
         """One interval of a given length for some rows, whatever the schedule says."""
-        timestep = self._schedule.timestep
+        timestep, skip = self._schedule.timestep, self._schedule.frame_skip
+        if self.shared and self._schedule.plain and nstep == skip:
+            k, rest = divmod(self.tick - int(self._begin[0]), skip)
+            if not rest:  # as usual: the schedule has this instant
+                self.tick += skip
+                return [Event(self.tick, self._schedule.period(k)[0], rows)]
         out = []
         for mask in self._groups(rows):
             first = 0 if mask is None else int(mask.argmax())

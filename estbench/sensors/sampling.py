@@ -53,6 +53,7 @@ class Sampler:
 
     def __init__(self, channel: Channel, rows: int, last: int | None = None):
         self.channel, self._rows, self._last = channel, rows, last
+        self._space = channel.space
         timing, name, m, part = channel.timing, channel.name, channel.space.n, channel.imperfections
         block = BLOCK if last is None else len(timing.due(last))
         self._noise = RowDraws(
@@ -198,7 +199,7 @@ class Sampler:
         if channel.schedule is not None:
             noise = self._scheduled(noise, due)
         if part is None or self._memory is None:
-            return (clean if self._exact else channel.space.plus(clean, noise)), None
+            return (clean if self._exact else self._space.plus(clean, noise)), None
         draws = {purpose: numbers.draw(here) for purpose, numbers in self._draws.items()}
         time = np.full((self._rows, 1), channel.timing.timestep)
         time *= due if isinstance(due, int) else due[:, None]

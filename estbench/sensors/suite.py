@@ -46,7 +46,8 @@ class SensorSuite:
         self._samplers = [Sampler(c, rows, last) for c in channels]
         stops = np.cumsum([0, *(c.space.nx for c in channels)]).tolist()
         self._points = {c.name: slice(a, b) for c, a, b in zip(channels, stops, stops[1:])}
-        self._plans: dict[tuple[str, ...], Plan] = {}
+        self._widths = [c.space.nx for c in channels]
+        self._plans: dict[tuple[bool, ...], Plan] = {}
         self.latest = np.zeros((rows, self.space.nx))
 
     def start(
@@ -86,15 +87,18 @@ class SensorSuite:
             u: controls `(row, nu)`.
             moved: rows for which time has passed `(row,)`; None is all.
         """
-        takes = [sampler.takes(tick) for sampler in self._samplers]
-        taking = [c for c, now in zip(self.channels, takes) if now]
-        y = self.clean(taking, t, x, u) if taking else None
+        takes = tuple([sampler.takes(tick) for sampler in self._samplers])
+        y = None
+        if any(takes):
+            if takes not in self._plans:
+                self._plans[takes] = self._plan([c for c, now in zip(self.channels, takes) if now])
+            y = self._read(self._plans[takes], t, x, u)
         out: list[Delivery] = []
         start = 0
-        for sampler, now in zip(self._samplers, takes):
+        for sampler, width, now in zip(self._samplers, self._widths, takes):
             clean = None
             if y is not None and now:
-                stop = start + sampler.channel.space.nx
+                stop = start + width
                 clean, start = y[:, start:stop], stop
             out += sampler.at(tick, clean, moved)
         if self._look:
@@ -104,10 +108,13 @@ class SensorSuite:
 
     def clean(self, channels: Sequence[Channel], t: float | Array, x: Array, u: Array) -> Array:
         """Noise-free readings `(row, ny)` of some channels, one after the other."""
-        key = tuple(c.name for c in channels)
-        if key not in self._plans:
-            self._plans[key] = Plan(self._model, [c.measurand for c in channels])
-        plan = self._plans[key]
+        return self._read(self._plan(channels), t, x, u)
+
+    def _plan(self, channels: Sequence[Channel]) -> Plan:
+        return Plan(self._model, [c.measurand for c in channels])
+
+    def _read(self, plan: Plan, t: float | Array, x: Array, u: Array) -> Array:
+        """Noise-free readings `(row, ny)` of the channels of a plan."""
         if plan.timed and not isinstance(t, float):  # a user's function is given one time
             out = np.empty((len(x), plan.space.nx))
             for now in np.unique(t):
