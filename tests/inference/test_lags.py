@@ -55,6 +55,13 @@ def test_what_did_not_arrive_is_neither_counted_nor_waited_for():
     check([(("gyro",), white, mask) for white, mask in zip(whites, masks)], 4)
 
 
+def test_a_component_that_seldom_arrives_has_no_terms_of_longer_lags():
+    masks = np.ones((6, 4, 2), bool)
+    masks[1:, 0, 1], masks[3:, 1, 0], masks[:, 2, 1] = False, False, False
+    whites = np.where(masks, normal(9, 6), 0.0)
+    check([(("gyro",), white, mask) for white, mask in zip(whites, masks)], 4)
+
+
 def test_a_mask_now_and_then():
     masks = np.random.default_rng(2).uniform(size=(30, 4, 2)) < 0.7
     check(

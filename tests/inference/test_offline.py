@@ -73,6 +73,30 @@ def test_one_component_may_be_missing_and_time_is_counted_in_steps():
     assert np.isfinite([b.mean for b in smoothed]).all()
 
 
+@pytest.mark.parametrize("given_u", [False, True])
+def test_an_estimator_that_shows_no_model_is_given_what_was_measured(given_u):
+    model, mean, cov, u, y = given(2)
+    ekf, still = registry.create("ekf", {}, model), np.zeros((RUNS, 1))
+    seen = []
+
+    class Own:
+        def __init__(self):
+            self.init, self.mean, self.cov = ekf.init, ekf.mean, ekf.cov
+
+        def predict(self, belief, held, t, dt):
+            seen.append(held.shape)
+            return ekf.predict(belief, held if given_u else still, t, dt)
+
+        def update(self, belief, measured, held, *more):
+            seen.append(held.shape)
+            return ekf.update(belief, measured, held if given_u else still, *more)
+
+    found = follow(Own(), mean, cov, y, u=u if given_u else None)
+    assert set(seen) == {(RUNS, 1 if given_u else 0)}
+    expected = follow(ekf, mean, cov, y, u=u if given_u else None)
+    np.testing.assert_array_equal(found.beliefs[-1].mean, expected.beliefs[-1].mean)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
