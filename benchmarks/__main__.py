@@ -144,7 +144,7 @@ def against_peers() -> Iterator[Target]:
 
 
 def ratio(kind: str) -> float:
-    """FilterPy's time over ours, a run and step."""
+    """FilterPy's time over ours, per run and step."""
     ((mine, theirs),) = peers.compare(kind, 1000, 10, 200, 1)
     return theirs / mine
 
@@ -169,7 +169,7 @@ def one_run() -> Iterator[Target]:
 
 
 def scaling() -> Iterator[Target]:
-    """CPU time a run of the EKF on cartpole, summary kept, one thread, from 500 to 50,000 runs."""
+    """CPU time per run of the EKF on cartpole, summary kept, one thread, 500 to 50,000 runs."""
 
     def measure() -> float:
         costs = []
@@ -185,7 +185,7 @@ def scaling() -> Iterator[Target]:
         return max(costs) / min(costs)
 
     yield Target(
-        "ekf on cartpole: CPU a run, 500 to 50,000 runs, max / min", 1.1, False, "", measure
+        "ekf on cartpole: CPU per run, 500 to 50,000 runs, max / min", 1.1, False, "", measure
     )
 
 

@@ -48,7 +48,9 @@ def stepping(env: gym.Env) -> Callable[[], None]:
 
 def scalar() -> None:
     bare = stepping(gym.make("InvertedPendulum-v5"))
-    print(f"InvertedPendulum-v5 (RK4, 2 physics steps a step); µs a step, median of {REPETITIONS}")
+    print(
+        f"InvertedPendulum-v5 (RK4, 2 physics steps per step); µs per step, median of {REPETITIONS}"
+    )
     base = float(np.median([best(bare) for _ in range(REPETITIONS)]))
     print(f"  without a wrapper            {base:8.1f}")
     for observe in ("raw", "state", "env"):
@@ -108,7 +110,9 @@ def vector() -> None:
         rows = observer.bank.estimator.model._rows
         floor = best(lambda: rows.batch(5 * ROWS).step(nstep=1), 100)  # noqa: B023
         floor += best(lambda: rows.batch(ROWS).step(nstep=1), 100)  # noqa: B023
-        print(f"    bare Batch calls {floor:.0f} µs of {1e6 * ROWS / np.median(quick):.0f} a step")
+        print(
+            f"    bare Batch calls {floor:.0f} µs of {1e6 * ROWS / np.median(quick):.0f} per step"
+        )
         env.close()
 
 

@@ -57,7 +57,7 @@ def over_floor(prepared: setup.Setup) -> float:
 
 
 def plain_calls(prepared: setup.Setup, points: int, rows: int = 1250) -> float:
-    """Seconds a run and step of the Batch calls of a design that leaves nothing out.
+    """Seconds per run and step of the Batch calls of a design that leaves nothing out.
 
     A step and a reading of the whole model for each of a filter's points, and for the truth.
     """
@@ -156,7 +156,7 @@ class Peer:
 
 
 def compare(kind: str, runs: int, peer_runs: int, steps: int, repeat: int) -> list[Pair]:
-    """Microseconds a run and step of estbench and of FilterPy, measured in turn."""
+    """Microseconds per run and step of estbench and of FilterPy, measured in turn."""
     prepared = prepare(kind, runs, steps)
     peer, threads = Peer(prepared), executors.cpu_count()
     ours(prepare(kind, 50, 20), threads)

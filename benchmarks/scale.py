@@ -106,7 +106,7 @@ def main() -> None:
     def cost(runs: int, keep: str) -> Cost:
         found = measure(runs, a.steps, keep, a.executor, a.workers)
         wall, cpu = (1e6 * x / (runs * a.steps) for x in (found.wall, found.cpu))
-        print(f"  {runs:>7} {keep:<8}  {wall:6.2f} µs wall, {cpu:6.2f} µs CPU a run and step, "
+        print(f"  {runs:>7} {keep:<8}  {wall:6.2f} µs wall, {cpu:6.2f} µs CPU per run and step, "
               f"peak {found.peak / 2**20:5.0f} MiB", flush=True)  # fmt: skip
         return found
 
@@ -122,8 +122,8 @@ def main() -> None:
 
     large = [(cost(a.base, "summary"), cost(a.runs, "summary")) for _ in range(a.repeat)]
     traces = [(cost(a.base, "summary"), cost(a.base, "diagonal")) for _ in range(2 * a.repeat)]
-    print(f"cost a run, {a.runs} over {a.base} runs: {ratio(large)}   (wanted: at most 1.15)")
-    print(f"cost a run, diagonal over summary: {ratio(traces)}   (wanted: at most 1.15)")
+    print(f"cost per run, {a.runs} over {a.base} runs: {ratio(large)}   (wanted: at most 1.15)")
+    print(f"cost per run, diagonal over summary: {ratio(traces)}   (wanted: at most 1.15)")
     peak = max(y.peak for _, y in large) / 2**30
     print(f"peak resident memory of {a.runs} runs: {peak:.2f} GiB   (wanted: below 2)")
 

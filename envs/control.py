@@ -1,7 +1,6 @@
-"""What a filter costs a task, and what it saves: one controller on truth, estimates, raw readings.
+"""The cost of a task under one controller that sees the truth, estimates, or raw readings.
 
-All see the same robots under the same disturbances and sensor noises: row i of every source has
-the random numbers of seed + i.
+Disturbances and sensor noises are common random numbers: row i has those of run i of the seed.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,13 +28,13 @@ TRUTH, RAW = "truth", "raw"
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The controller's fate on the states that it was shown.
+    """Costs and failures of the controller with one source of states.
 
     Attributes:
         label: `truth`, `raw` or an estimator's.
-        cost: mean cost a step of each run, up to its failure `(run,)`.
-        failed: runs that left the bounds or blew up `(run,)`.
-        failed_at: when, s, NaN for those that did not `(run,)`.
+        cost: mean cost per step of each run, up to its failure `(run,)`.
+        failed: runs that left the bounds or are no longer finite `(run,)`.
+        failed_at: time of the failure, s; NaN for the others `(run,)`.
     """
 
     label: str
@@ -51,7 +50,7 @@ class Comparison:
     Attributes:
         scenario: its name.
         controller: its kind.
-        seed: of run 0.
+        seed: of the runs.
         duration: s.
         level: of the intervals.
         sources: truth, estimators, raw.
@@ -68,7 +67,7 @@ class Comparison:
         return {s.label: s for s in self.sources}[label]
 
     def cost(self, label: str) -> Interval:
-        """Mean cost a step with its interval, over the runs that did not fail."""
+        """Mean cost per step with its interval, over the runs that did not fail."""
         source = self[label]
         return mean_interval(source.cost[~source.failed], self.level)
 
@@ -116,13 +115,13 @@ def compare(
         estimators: labels, names or classes in place of the scenario's; one needs no list.
         controller: kind in place of the scenario's (`estbench list` shows them).
         runs: how many.
-        seed: of run 0; run i has seed + i; default the scenario's.
+        seed: of the runs, as of `estbench run`; default the scenario's.
         duration: s, in place of the task's horizon.
         overrides: `section.key=value` strings.
         progress: called with the steps done and the steps in all.
 
     Raises:
-        EstbenchError: anything that does not fit, before anything is simulated.
+        EstbenchError: a setting is wrong; raised before the simulation.
     """
     if runs < 1:
         raise EnvError(f"runs is {runs}; use at least 1")
@@ -172,7 +171,7 @@ def _drive(
     seed: int,
     progress: Callable[[int], None] | None,
 ) -> Outcome:
-    """One episode of all runs, on the truth or on what the filter bank says."""
+    """One episode of all runs; the controller sees the truth or the estimates."""
     runs, period = world.rows, world.setup.plant.period
     world.reset(np.arange(runs), seed, range(runs))
     total, count = np.zeros(runs), np.zeros(runs)

@@ -26,10 +26,10 @@ def render(comparison: Comparison) -> Group:
     keys = (Column("controller sees", labels, "left"),)
     table = Table(keys, tuple((column,) for column in columns))
     caption = (
-        "cost is the task's, mean a step, of the runs that did not fail. minus truth, minus raw:\n"
-        "paired differences (same robot, same noise) over the runs that failed with neither.\n"
-        f"± is the {comparison.level:.0%} interval across runs. A failed run left the bounds\n"
-        "or blew up. raw: coordinates read off the sensors, other velocities differenced."
+        "cost is the task's, mean per step, of the runs that did not fail. minus truth, minus\n"
+        "raw: paired differences (common random numbers) of the runs that failed with neither.\n"
+        f"± is the {comparison.level:.0%} interval across runs. A failed run left the bounds or\n"
+        "is not finite. raw: coordinates from the sensors, other velocities by differences."
     )
     return Group(Text(title, style="bold"), table, Text(caption, style="dim italic"))
 

@@ -1,4 +1,4 @@
-"""What a policy is shown of the filter: the estimate, the belief, or raw readings."""
+"""What a policy observes: the estimate, the belief, raw readings, or the truth."""
 
 from collections.abc import Callable
 from typing import Literal, get_args
@@ -27,16 +27,16 @@ def features(
     noisy reading; `truth` is x.
 
     Args:
-        observe: one of these.
+        observe: one of these kinds.
         suite: the sensors.
-        filter_: what follows the robots, or None.
+        filter_: the beliefs of the robots, or None.
         nx: numbers of a state.
 
     Returns:
         The space, and `(row, nx)` -> new array `(row, k)` inside it.
 
     Raises:
-        EnvError: unknown, or it needs a filter and there is none.
+        EnvError: `observe` is unknown, or it needs a filter and there is none.
     """
     if observe not in get_args(Observe):
         raise EnvError(f"observe is '{observe}'{did_you_mean(observe, get_args(Observe))}")

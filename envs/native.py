@@ -1,4 +1,4 @@
-"""The native environment: one robot of a scenario, seen through its filter."""
+"""The native environment: one robot of a scenario, observed by a filter."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,10 +20,12 @@ ROW = np.zeros(1, np.int64)
 
 
 class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
-    """A scenario as a Gymnasium environment: `gym.make("estbench/CartPole-v0")` and its kin.
+    """A scenario as a Gymnasium environment: `gym.make("estbench/CartPole-v0")` and others.
 
-    The initial state, the disturbance and the sensors are the scenario's; reward, end and horizon
-    are its `[task]`'s. An action in [-1, 1] spans the actuator's ctrlrange.
+    The episodes after a seed s are the runs 0, 1, 2, ... of `estbench run --seed s`.
+
+    The initial state, the disturbance and the sensors are those of the scenario; reward, end and
+    horizon are those of its `[task]`. An action in [-1, 1] spans the actuator's ctrlrange.
 
     Args:
         scenario: bundled name, TOML or MJCF path, or a `Scenario`.
@@ -39,7 +41,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         ghost: whether the estimate is drawn beside the truth.
 
     Raises:
-        EstbenchError: anything that does not fit; the message names the remedy.
+        EstbenchError: a setting is wrong; the message names the remedy.
     """
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
@@ -112,7 +114,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         return self._renderer.render(self.render_mode, self.world.x[0], belief)
 
     def close(self) -> None:
-        """Free the renderer."""
+        """Release the renderer."""
         self._renderer.close()
 
     def _seen(self) -> tuple[Array, dict[str, Any]]:
@@ -120,5 +122,5 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
 
 
 def first(info: dict[str, Any]) -> dict[str, Any]:
-    """The info of the first row: arrays lose their row axis, numbers become Python's."""
+    """The info of the first row: arrays without the row axis, numbers as Python numbers."""
     return {k: v[0].item() if v.ndim == 1 else v[0] for k, v in info.items()}

@@ -1,4 +1,4 @@
-"""No filter: a state read straight off the sensors, for a controller to be compared with."""
+"""A state from the latest readings alone, without a filter, as the reference for a controller."""
 
 from dataclasses import dataclass, replace
 
@@ -17,7 +17,7 @@ ACCELERATION = int(mujoco.mjtStage.mjSTAGE_ACC)
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The last state read, and how long ago each position was `(row, nv)`, s."""
+    """The last state read, and the age of each position `(row, nv)`, s."""
 
     mean: Array
     cov: Array
@@ -26,12 +26,12 @@ class Held:
 
 @dataclass(frozen=True)
 class RawReadings:
-    """A state with no memory but the last reading, in the clothes of an estimator.
+    """The state from the latest readings, with the methods of an estimator.
 
     A coordinate that sensors measure is taken from them (weighted least squares, H δ = y ⊖ h(x̂),
     about the last state); a velocity that no sensor measures is the change of its position over
     the time between readings; a coordinate that none measures stays where it started. Sensors of
-    accelerations and forces are not used, as these are no states. There is no smoothing.
+    accelerations and forces are not used, because these are no states.
 
     Attributes:
         model: a MuJoCo model with its sensors.
@@ -40,11 +40,11 @@ class RawReadings:
     model: MujocoModel
 
     def init(self, mean: Array, cov: Array) -> Held:
-        """Start from mean `(row, nx)`; cov `(row, n, n)` is kept and means nothing."""
+        """Start from mean `(row, nx)`; cov `(row, n, n)` is only kept."""
         return Held(mean, cov, np.zeros((len(mean), self.model.mjmodel.nv)))
 
     def predict(self, belief: Held, u: Array, t: float, dt: float) -> Held:
-        """Time passes; the state is held."""
+        """The state is held; only its age increases."""
         return replace(belief, since=belief.since + dt)
 
     def update(
@@ -89,11 +89,11 @@ class RawReadings:
         return belief.mean
 
     def cov(self, belief: Held) -> Array:
-        """The initial covariance `(row, n, n)`: nothing is known of the error."""
+        """The initial covariance `(row, n, n)`, because the error is not estimated."""
         return belief.cov
 
     def _of_state(self, channel: SensorChannel) -> bool:
-        """Whether a channel reads positions and velocities, or a function of the state."""
+        """Whether a channel reads positions and velocities only."""
         model, measurand = self.model.mjmodel, channel.measurand
         sensors = (channel.index,) if measurand is None else measurand.sensors
         return needed_stage(model, sensors) < ACCELERATION

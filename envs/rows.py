@@ -1,4 +1,4 @@
-"""The customs of Gymnasium's vector environments: seeds, masks and infos by row."""
+"""Conventions of Gymnasium's vector environments: seeds, masks and infos of each row."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ MODES = tuple(mode.value for mode in AutoresetMode) + tuple(AutoresetMode)
 
 
 def row_seeds(seed: int | Sequence[int | None] | None, rows: int) -> list[int | None]:
-    """A seed a row: s + i for an integer s.
+    """One seed per row: s + i for an integer s.
 
     Raises:
         EnvError: a list of another length.
@@ -23,7 +23,7 @@ def row_seeds(seed: int | Sequence[int | None] | None, rows: int) -> list[int | 
     if isinstance(seed, int | np.integer):
         return [int(seed) + i for i in range(rows)]
     if len(seed) != rows:
-        raise EnvError(f"seed has {len(seed)} values; expected one a row, {rows}, or an integer")
+        raise EnvError(f"seed has {len(seed)} values; expected one per row, {rows}, or an integer")
     return list(seed)
 
 
@@ -31,7 +31,7 @@ def reset_mask(options: dict[str, Any] | None, rows: int) -> Mask:
     """The rows that `options["reset_mask"]` names; all without it.
 
     Raises:
-        EnvError: no array of `rows` booleans with a True in it.
+        EnvError: it is no array of `rows` booleans, or all are False.
     """
     mask = (options or {}).get("reset_mask")
     if mask is None:
@@ -45,7 +45,7 @@ def reset_mask(options: dict[str, Any] | None, rows: int) -> Mask:
 
 
 def vector_info(info: dict[str, Array], mask: Mask) -> dict[str, Any]:
-    """Infos as Gymnasium's vector environments give them: `_key` says which rows have `key`."""
+    """Infos as in Gymnasium's vector environments: `_key` marks the rows that have `key`."""
     out: dict[str, Any] = {}
     for key, values in info.items():
         out[key], out[f"_{key}"] = values, mask.copy()
@@ -53,7 +53,7 @@ def vector_info(info: dict[str, Array], mask: Mask) -> dict[str, Any]:
 
 
 def add_final(info: dict[str, Any], over: Mask, observations: Array, final: dict[str, Any]) -> None:
-    """What ended in this step (same-step autoreset): `final_obs` and `final_info` of those rows."""
+    """Add `final_obs` and `final_info` of the rows that ended now (same-step autoreset)."""
     last = np.full(len(over), None, dtype=object)
     for row in np.flatnonzero(over):
         last[row] = observations[row].copy()

@@ -25,7 +25,7 @@ except ImportError:
 
 
 class BatchVecEnv(VecEnv):
-    """All rows in a few batch calls, in the form that stable-baselines3 trains on.
+    """All rows in a few batch calls, with the interface of stable-baselines3.
 
     Args:
         env: id of a native environment, or a `ScenarioVectorEnv` with same-step autoreset.
@@ -96,7 +96,7 @@ class BatchVecEnv(VecEnv):
         return self.env.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The environment's attribute, once a row asked for."""
+        """The environment's attribute, once per row asked for."""
         return [getattr(self.env, attr_name)] * len(self._chosen(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -108,7 +108,7 @@ class BatchVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """The result of the environment's method, once a row asked for."""
+        """The result of the environment's method, once per row asked for."""
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result] * len(self._chosen(indices))
 

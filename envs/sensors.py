@@ -62,7 +62,7 @@ def position_fix(body: str, noise: float | None = None, rate: float | None = Non
 
 
 def attitude_fix(body: str, noise: float | None = None, rate: float | None = None) -> Table:
-    """The attitude of a body (quaternion; noise in rad an axis), at a rate (Hz)."""
+    """The attitude of a body (quaternion; noise in rad per axis), at a rate (Hz)."""
     entry = _entry("framequat", body, "xbody", noise)
     return {f"{body}_attitude": entry if rate is None else {**entry, "rate": rate}}
 

@@ -1,4 +1,4 @@
-"""What a policy is asked to do: reward, end and horizon from the scenario's `[task]`."""
+"""The task of a policy: reward, end and horizon from the scenario's `[task]`."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from estbench.spaces.patterns import expand
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """reward = alive - Σ wᵢ eᵢ² - Σ rⱼ ũⱼ², with e = x ⊖ goal and ũ = u - u₀, once a step.
+    """reward = alive - Σ wᵢ eᵢ² - Σ rⱼ ũⱼ², with e = x ⊖ goal and ũ = u - u₀, once per step.
 
     Attributes:
         plant: the nominal robot, with keyframe x₀, u₀.

@@ -1,4 +1,4 @@
-"""The true state in `info`, for a vector of environments that live in other processes."""
+"""The true state in `info`, for a vector of environments in other processes."""
 
 from typing import Any
 
@@ -14,8 +14,8 @@ KEYS = ("estbench_x", "estbench_u", "estbench_t")
 class RecordTruth(gym.Wrapper, RecordConstructorArgs):
     """Adds state, controls and time of a MuJoCo environment to `info`.
 
-    `VectorEstimatedObservation` reads them from there: give this as one of `wrappers` to
-    `gymnasium.make_vec`. It needs them for same-step autoreset, and they are the quick way out of
+    `VectorEstimatedObservation` reads them from `info`: give this as one of `wrappers` to
+    `gymnasium.make_vec`. It needs them for same-step autoreset, and they are the fastest way from
     the processes of an `AsyncVectorEnv`.
     """
 

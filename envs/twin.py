@@ -62,8 +62,9 @@ class Twin:
     def reset(self, x: Array, truth: Array, t: float = 0.0) -> Any:
         """The observation of a new episode.
 
-        Gymnasium's environments start with quaternions that are not of unit length, and show them
-        so; the estimate's, which are, get the truth's length. It says nothing about the rotation.
+        Gymnasium's environments start with quaternions that are not of unit length, and show these;
+        the unit quaternions of the estimate get the length of the true ones. It does not change
+        the rotation.
 
         Args:
             x: estimate `(nx,)`.
@@ -96,7 +97,7 @@ class Twin:
         return self._observation()
 
     def _sync(self) -> Any:
-        """Follow what the environment keeps besides its model and data (a goal, a counter, ...)."""
+        """Copy the environment's attributes besides model and data (a goal, a counter, ...)."""
         mine, theirs = vars(self._env), vars(self._base)
         for name in self._shared:
             mine[name] = theirs[name]

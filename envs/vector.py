@@ -1,4 +1,4 @@
-"""The native vector environment: all robots of a scenario in a few calls a step."""
+"""The native vector environment: all robots of a scenario in a few calls per step."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -36,7 +36,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
             height, camera, ghost: as for `estbench.envs.native.ScenarioEnv`.
 
     Raises:
-        EstbenchError: anything that does not fit; the message names the remedy.
+        EstbenchError: a setting is wrong; the message names the remedy.
     """
 
     def __init__(
@@ -101,11 +101,11 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         """Start episodes in all rows, or in those of `options["reset_mask"]`.
 
         Args:
-            seed: an integer s (row i gets s + i), one a row, or None.
-            options: `reset_mask` `(num_envs,)` of bool; filters of these rows start anew too.
+            seed: an integer s (row i gets s + i), one per row, or None.
+            options: `reset_mask` `(num_envs,)` of bool; the filters of these rows begin anew too.
 
         Returns:
-            Observations `(num_envs, k)` and infos, of which those of the reset rows are new.
+            Observations `(num_envs, k)`, and infos that are valid for the rows that were reset.
         """
         seeds = row_seeds(seed, self.num_envs)
         if isinstance(seed, int):
@@ -164,7 +164,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free the renderer."""
+        """Release the renderer."""
         self._renderer.close()
 
     def _restart(self, mask: Mask) -> None:

@@ -1,4 +1,4 @@
-"""A filter filter_ between a vector of ordinary MuJoCo environments and its policy."""
+"""Filters between a vector of ordinary MuJoCo environments and its policy."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ class VectorEstimatedObservation(VectorWrapper):
     """`EstimatedObservation` for `SyncVectorEnv`, `AsyncVectorEnv`: one batch of filters.
 
     Row i with seed s sees what `EstimatedObservation` sees with seed s + i. The filters use the
-    first environment's model. Rows whose episode ends start their filter anew, in every autoreset
+    first environment's model. The filter of a row begins anew with each episode, in every autoreset
     mode; `SameStep` needs the wrapper `RecordTruth` in each environment.
 
     Args:
@@ -38,7 +38,7 @@ class VectorEstimatedObservation(VectorWrapper):
         nthread: threads of the filters' physics.
 
     Raises:
-        EstbenchError: anything that does not fit; the message names the remedy.
+        EstbenchError: a setting is wrong; the message names the remedy.
     """
 
     def __init__(

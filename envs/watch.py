@@ -1,4 +1,4 @@
-"""Sensors and filters for environments not our own: what both wrappers do with true states."""
+"""Sensors and filters for environments of other libraries: the common part of both wrappers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -37,11 +37,11 @@ class Watch:
 
     Attributes:
         suite: the sensors.
-        filter: what follows the robots, or None.
+        filter: the beliefs of the robots, or None.
         clocks: where each row is in its episode.
         space: the state space.
         data: `env`'s MuJoCo data, to be read only.
-        notices: what was assumed.
+        notices: assumptions, one line each.
         frame_skip: physics steps of a step.
     """
 
@@ -101,7 +101,7 @@ class Watch:
         """Physics steps in the time that an environment's step took, s.
 
         Raises:
-            EnvError: it is no positive whole number.
+            EnvError: it is no positive integer.
         """
         count = round(elapsed / self._timestep)
         if count < 1 or abs(elapsed - count * self._timestep) > 1e-6 * count * self._timestep:
@@ -132,7 +132,7 @@ class Watch:
         self.filter.start(rows, self.space.plus(x, -error), self._cov, keys)
 
     def step(self, nstep: int, x: Array, u: Array, mask: Mask | None = None) -> None:
-        """Physics steps have passed under u `(row, nu)`, up to the true states x `(row, nx)`."""
+        """Go on by `nstep` physics steps under u `(row, nu)`, to the true states x `(row, nx)`."""
         u = self._range.clamp(u)
         if self.filter is not None:
             self.filter.begin()
@@ -146,7 +146,7 @@ class Watch:
                 self.filter.settle()
 
     def info(self, x: Array) -> dict[str, Any]:
-        """What `info` says of every row: see `LiveFilter.info`; without a filter, the truth."""
+        """`info` of every row: see `LiveFilter.info`; without a filter, the truth."""
         return {"truth": x.copy()} if self.filter is None else self.filter.info(x)
 
     def features(self, observe: str) -> tuple[spaces.Box, Callable[[Array], Array]]:
@@ -154,7 +154,7 @@ class Watch:
         return features(observe, self.suite, self.filter, self.space.nx)
 
     def _try(self, tried: LiveFilter, rows: int) -> None:
-        """One prediction from the model's rest, to see that the estimator can use this model."""
+        """Predict once from the model's reference pose: can the estimator use this model?"""
         rest = np.concatenate([self.data.model.qpos0, np.zeros(self.space.nx - self.data.model.nq)])
         mean = np.repeat(rest[None], rows, axis=0)
         nstep, keys = self.frame_skip, np.zeros(rows, np.uint64)

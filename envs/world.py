@@ -34,7 +34,7 @@ def prepare(
     """The resolved scenario with one estimator (any, if none is asked for).
 
     Raises:
-        EstbenchError: whatever does not fit.
+        EstbenchError: the scenario or a setting is wrong.
     """
     if scenario is None:
         raise EnvError(
@@ -61,7 +61,7 @@ def prepare(
 
 
 class World:
-    """`rows` robots of one scenario under a task, and the filter that follows them.
+    """`rows` robots of one scenario under a task, and their filter.
 
     Args:
         prepared: the resolved scenario; its first estimator is used.
@@ -73,7 +73,7 @@ class World:
     Attributes:
         task: reward, end, horizon.
         simulator: the true robots and their sensors.
-        filter: what is known of them, or None.
+        filter: their beliefs, or None.
         u: controls held in the last step `(row, nu)`.
     """
 
@@ -112,7 +112,7 @@ class World:
         return self.simulator.x
 
     def belief(self, row: int) -> tuple[Array, Array] | None:
-        """x̂ `(nx,)` and P `(n, n)` of a row, if there is a filter."""
+        """x̂ `(nx,)` and P `(n, n)` of one row, or None without a filter."""
         return None if self.filter is None else (self.filter.estimate[row], self.filter.cov[row])
 
     def features(self, observe: str) -> tuple[spaces.Box, Callable[[Array], Array]]:
@@ -125,7 +125,7 @@ class World:
         return self.simulator.clocks.elapsed // self.setup.plant.nstep
 
     def limit(self, steps: int) -> None:
-        """Another horizon, in steps of the environment.
+        """Set another horizon, in steps of the environment.
 
         Raises:
             EnvError: it is not positive.
@@ -154,8 +154,8 @@ class World:
 
         Args:
             u: controls, in the actuators' units; truth and filter clamp them to their range.
-            mask: rows that take part; None is all. The others stand still; time passes for them
-                too, so each must begin anew before it takes part again.
+            mask: rows that take part; None is all. The others do not move, but their clocks go
+                on, so each must begin anew before it takes part again.
 
         Returns:
             Reward, terminated and truncated `(row,)`; 0 and False outside the mask.
@@ -178,7 +178,7 @@ class World:
         return reward, ended, late
 
     def info(self) -> dict[str, Array]:
-        """What `info` says of every row: see `LiveFilter.info`; without a filter, the truth."""
+        """`info` of every row: see `LiveFilter.info`; without a filter, the truth."""
         if self.filter is None:
             return {"truth": self.simulator.x.copy()}
         return self.filter.info(self.simulator.x)

@@ -22,9 +22,9 @@ _log = logging.getLogger("estbench")
 
 
 class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
-    """Shows a policy what a filter makes of noisy sensors, in place of the true state.
+    """Shows a policy the estimate of a filter with noisy sensors, in place of the true state.
 
-    The environment itself is untouched: its trajectory for a seed and actions is the same, to the
+    The environment itself is not changed: its trajectory for a seed and actions is the same, to the
     last bit, with and without the wrapper. The filter starts at an x̂₀ with x₀ ⊖ x̂₀ ~ N(0, P₀).
 
     Args:
@@ -42,10 +42,10 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         initial_std: P₀'s standard deviations: a number, a list or a table of patterns. 0 starts
             the filter at the truth.
         model_set: `field.object` = value: where the filter's model differs from the environment's.
-        xml: MJCF of the model, for environments that do not say what they were made from.
+        xml: MJCF of the model, for environments that do not name the file they were made from.
 
     Raises:
-        EstbenchError: anything that does not fit; the message names the remedy.
+        EstbenchError: a setting is wrong; the message names the remedy.
     """
 
     def __init__(

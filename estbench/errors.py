@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Iterable
 from pathlib import Path
 
-# Packages whose lines tell a user nothing: the mistake is where they were called from.
+# Packages whose lines do not locate a mistake: it is in the code that calls them.
 _OTHERS = sys.stdlib_module_names | {"estbench", "numpy", "scipy", "mujoco"}
 
 
@@ -23,7 +23,7 @@ class ScenarioError(EstbenchError):
 
 
 class DimensionError(EstbenchError):
-    """An array has another shape than its place needs."""
+    """An array has the wrong shape."""
 
 
 class CovarianceError(EstbenchError):
@@ -31,7 +31,7 @@ class CovarianceError(EstbenchError):
 
 
 class ModelError(EstbenchError):
-    """A function of a user's model is none, or raised."""
+    """A function of a user's model is not callable, or raised."""
 
 
 class EstimatorError(EstbenchError):
@@ -39,7 +39,7 @@ class EstimatorError(EstbenchError):
 
 
 class SelectionError(EstimatorError):
-    """A belief cannot be taken apart by runs: some of it is shared between them."""
+    """A belief cannot be divided by runs: a part of it is shared between them."""
 
 
 class ControllerError(EstbenchError):
@@ -51,15 +51,15 @@ class StoreError(EstbenchError):
 
 
 class ExecutorError(EstbenchError):
-    """Workers cannot be had, or died."""
+    """Workers cannot be started, or died."""
 
 
 class AnalysisError(EstbenchError):
-    """A comparison or a report of results was asked for with a setting that makes no sense."""
+    """A comparison or a report of results has an invalid setting."""
 
 
-class Interrupted(EstbenchError):  # noqa: N818 - it is no error but the user's wish
-    """Ctrl-C came before there was anything to show; the command line exits with 130."""
+class Interrupted(EstbenchError):  # noqa: N818 - the user asked for it
+    """Ctrl-C came before any result; the command line exits with code 130."""
 
 
 class MissingExtraError(EstbenchError):
@@ -73,7 +73,7 @@ class MissingExtraError(EstbenchError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint ` (did you mean 'x'?)` for a misspelt name, or the list of what there is."""
+    """A hint ` (did you mean 'x'?)` for a misspelt name, or the list of the known names."""
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
     if close:
@@ -82,11 +82,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def user_error_location(error: BaseException) -> str:
-    """What a user's code raised, and where: `KeyError: 'gain' (mine.py:12, in update)`.
+    """An exception of a user's code with its location: `KeyError: 'gain' (mine.py:12, in update)`.
 
-    The place is the innermost line of the user's files: those of the folder of the first file that
-    is neither estbench's nor of what it stands on. Where there is none it is left out, as it is of
-    a syntax error, which says itself where it is.
+    The location is the innermost line in the user's files. These are the files in the folder of the
+    first file that belongs neither to estbench nor to its dependencies. Without such a file the
+    location is left out. A syntax error names its own location.
     """
     text = f"{type(error).__name__}: {error}"
     if isinstance(error, SyntaxError):

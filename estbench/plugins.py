@@ -1,4 +1,4 @@
-"""What a user names as `module:name`: an estimator's class, a function of a scenario."""
+"""Objects that a user names as `module:name`: a class of estimators, a function of a scenario."""
 
 import importlib
 import sys
@@ -10,7 +10,7 @@ from estbench.errors import EstimatorError, ScenarioError, did_you_mean, user_er
 
 
 def load_module(module: str, what: str) -> Any:
-    """Import a user's module, looking in the current folder too.
+    """Import a user's module from the current folder or the import path.
 
     Raises:
         EstimatorError: it cannot be imported.
@@ -30,10 +30,10 @@ def load_module(module: str, what: str) -> Any:
 
 
 def function(target: str, where: str) -> Callable[..., Any]:
-    """The function `module:name`, looked for in the current folder too.
+    """The function `module:name`, from the current folder or the import path.
 
     Raises:
-        ScenarioError: there is none.
+        ScenarioError: there is no such function.
     """
     module, colon, name = target.partition(":")
     if not (colon and module and name):

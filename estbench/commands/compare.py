@@ -40,7 +40,7 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="folder of leaderboard.md and .csv")] = Path("results"),
     runs: Annotated[int | None, typer.Option(help="of each robot")] = None,
     robot: Annotated[
-        list[str] | None, typer.Option(help="bundled scenario; repeatable; default one a robot")
+        list[str] | None, typer.Option(help="bundled scenario; repeatable; default one per robot")
     ] = None,
 ) -> None:
     """Make the reference results again: every bundled robot and every main estimator."""

@@ -150,7 +150,7 @@ def draw(
     check_prior(space, mean, cov)
     keys = random.default_keys(len(mean)) if keys is None else np.asarray(keys, np.uint64)
     if keys.shape != (len(mean),):
-        raise DimensionError(f"keys has shape {keys.shape}; expected one a run, {(len(mean),)}")
+        raise DimensionError(f"keys has shape {keys.shape}; expected one per run, {(len(mean),)}")
     counter = np.zeros(len(mean), np.uint64)
     error = random.gaussian(keys, counter, INITIAL, cov, size)
     failed = ~np.isfinite(error).all(axis=(-2, -1))

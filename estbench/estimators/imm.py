@@ -173,7 +173,7 @@ class IMM:
         numbers = scales.shape == (len(models),) and scales.size > 0 and scales.dtype.kind in "fi"
         if not numbers or not ((scales > 0) & np.isfinite(scales)).all():
             raise EstimatorError(
-                f"IMM: process_noise_scales is {given!r}; use a list of positive numbers, one a "
+                f"IMM: process_noise_scales is {given!r}; use a list of positive numbers, one per "
                 "mode"
             )
         return [m if q == 1.0 else ScaledNoise(m, float(q)) for m, q in zip(models, scales)]

@@ -57,7 +57,7 @@ class KF(GaussianEstimator):
         u0 = np.zeros(self.model.nu) if given is None else np.asarray(given)
         if u0.shape != (self.model.nu,) or u0.dtype.kind not in "fi" or not np.isfinite(u0).all():
             raise EstimatorError(
-                f"KF: u0 is {self.u0!r}; use {self.model.nu} finite numbers, one a control"
+                f"KF: u0 is {self.u0!r}; use {self.model.nu} finite numbers, one per control"
             )
         object.__setattr__(self, "u0", tuple(u0.tolist()))
 

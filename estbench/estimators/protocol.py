@@ -136,6 +136,6 @@ class FilterHistory:
 class Smoother(Estimator, Protocol):
     """An estimator that also looks back; its smoothed beliefs are the ones that are judged."""
 
-    def smooth(self, passage: FilterHistory) -> Sequence[Any]:
+    def smooth(self, history: FilterHistory) -> Sequence[Any]:
         """K + 1 beliefs, each given all measurements (or those of a window)."""
         ...

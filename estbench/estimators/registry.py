@@ -44,7 +44,7 @@ METHODS = ("init", "predict", "update", "mean", "cov")
 
 
 def known() -> dict[str, str]:
-    """Name -> `module:Class` of the entry-point group and of the built-in estimators, which win."""
+    """Name -> `module:Class` of the built-in estimators, then of the entry points."""
     return {point.name: point.value for point in entry_points(group=GROUP)} | BUILTIN
 
 
@@ -52,9 +52,9 @@ def resolve(name: str) -> type:
     """The class of a registered name or of `package.module:Name` (also from the current folder).
 
     Raises:
-        EstimatorError: there is none, or it lacks one of the protocol's methods.
+        EstimatorError: there is no such class, or it lacks a method of the protocol.
     """
-    # What is installed is asked for last: that takes 6 ms, and every batch builds its estimators.
+    # The entry points come last: to read them takes 6 ms, and every batch builds its estimators.
     target = name if ":" in name else BUILTIN.get(name) or known().get(name, name)
     module, colon, attribute = target.partition(":")
     if not colon:
@@ -72,10 +72,10 @@ def resolve(name: str) -> type:
 
 
 def name_of(estimator: str | type) -> str:
-    """The name itself, or `module:Name` of a class, under which workers find it again.
+    """The name itself, or `module:Name` of a class, by which workers import it.
 
     Raises:
-        EstimatorError: neither, or a class that cannot be imported under that name.
+        EstimatorError: it is neither, or the class cannot be imported by that name.
     """
     if isinstance(estimator, str):
         return estimator

@@ -10,7 +10,7 @@ from estbench.errors import EstimatorError
 
 
 def one_of(estimator: Any, setting: str, allowed: Sequence[str]) -> None:
-    """Raise unless the setting is one of the allowed words."""
+    """Raise unless the setting is one of the allowed values."""
     if getattr(estimator, setting) not in allowed:
         raise _refusal(estimator, setting, f"one of {', '.join(allowed)}")
 
@@ -49,7 +49,7 @@ def switch(estimator: Any, setting: str) -> None:
 
 
 def names(estimator: Any, setting: str) -> None:
-    """Raise unless the setting is a list of words."""
+    """Raise unless the setting is a list of strings."""
     value = getattr(estimator, setting)
     listed = isinstance(value, Sequence) and not isinstance(value, str)
     if not (listed and all(isinstance(item, str) for item in value)):
@@ -63,7 +63,7 @@ def table(estimator: Any, setting: str) -> None:
 
 
 def scaled_rule(estimator: Any) -> None:
-    """Raise unless `alpha`, `beta` and `kappa` make a scaled unscented rule on `model`'s state."""
+    """Raise unless `alpha`, `beta` and `kappa` suit a scaled unscented transform."""
     in_range(estimator, "alpha", 0.0, 1.0, low_open=True)
     in_range(estimator, "beta", 0.0)
     in_range(estimator, "kappa")

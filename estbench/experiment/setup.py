@@ -34,7 +34,7 @@ from estbench.spaces.manifold import Manifold
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Everything that is the same for all runs; what one batch needs is built by its methods.
+    """The objects that all runs share; its methods build those of one batch.
 
     Attributes:
         scenario: what it was built from.
@@ -45,7 +45,7 @@ class Setup:
         instants: the event loop's schedule.
         disturbance: the true process noise; the filter's is `filter_disturbance`.
         mean, cov: x̂₀ `(nx,)` and P₀ `(n, n)`.
-        notices: what was assumed where the scenario is silent.
+        notices: assumptions where the scenario says nothing.
     """
 
     scenario: Scenario
@@ -71,7 +71,7 @@ class Setup:
         return np.array([0.0] + [i.end for i in self.instants])
 
     def model(self, nthread: int = 1, robot: mujoco.MjModel | None = None) -> MujocoModel:
-        """A fresh filter model; one for each thread, or of another `robot` with the same state."""
+        """A new filter model: one per thread, or of another `robot` with the same state."""
         section = self.scenario.filter
         return MujocoModel(
             robot or self.filter_model,
@@ -88,7 +88,7 @@ class Setup:
         return {c.name: c.space for c in self.channels}
 
     def estimator(self, label: str, nthread: int = 1) -> Estimator:
-        """The estimator of that label on a fresh model, started as the scenario says."""
+        """A new estimator of that label on a new model, with the start of the scenario."""
         model, start = self.model(nthread), self.start(label)
         settings = self.settings(label)
         if isinstance(settings.get("models"), list):
@@ -134,7 +134,7 @@ class Setup:
         return scenarios.start(self.scenario, label)
 
     def prior(self, label: str) -> tuple[Array, Array]:
-        """x̂₀ `(nx,)` and P₀ `(n, n)` that the estimator of that label is given."""
+        """x̂₀ `(nx,)` and P₀ `(n, n)` of the estimator of that label."""
         start, nq, nv = self.start(label), self.plant.model.nq, self.plant.model.nv
         mean, cov = starting.displaced(self.space, self.mean, self.cov, start.offset, start.inflate)
         if start.method == "static":
@@ -143,7 +143,7 @@ class Setup:
         return mean, cov
 
     def delays(self, label: str) -> Delays:
-        """What the estimator of that label does about late readings."""
+        """How the estimator of that label handles late readings."""
         section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
         handling = self.scenario.estimators[label].get("delays", section.delays)
         if handling not in ("exact", "naive"):
@@ -158,7 +158,7 @@ class Setup:
 
     @property
     def window(self) -> int:
-        """How far exact delay handling can go back, in physics steps."""
+        """The longest time that exact delay handling can go back, in physics steps."""
         section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
         if section.window is not None:
             return int(section.window / timestep + 1e-9)
@@ -207,7 +207,7 @@ class Setup:
         return Schedule(named, float(self.plant.model.opt.timestep), self.plant.nstep)
 
     def controller(self, runs: Sequence[int]) -> controllers.Controller:
-        """The controller for some runs, its errors made clear."""
+        """The controller for some runs; its errors name it."""
         section = self.scenario.control
         steps = sum(i.control for i in self.instants)
         seed = self.scenario.simulation.seed
@@ -220,8 +220,8 @@ def build(scenario: Scenario) -> Setup:
     """Resolve a scenario.
 
     Raises:
-        ScenarioError, DimensionError, CovarianceError, EstimatorError, ControllerError: whatever
-            does not fit, before anything is simulated or written.
+        ScenarioError, DimensionError, CovarianceError, EstimatorError, ControllerError: a part of
+            the scenario is wrong; raised before the simulation.
     """
     section, belief = scenario.model, scenario.filter
     spec, truth, believed = resolution.robots(scenario)
@@ -292,7 +292,7 @@ def build(scenario: Scenario) -> Setup:
 
 
 def _check_window(setup: Setup) -> None:
-    """Refuse a latency that exact handling could never go back to."""
+    """Refuse a latency that is longer than the window of exact handling."""
     section, timestep = setup.scenario.filter, float(setup.plant.model.opt.timestep)
     if section.window is None:
         return

@@ -69,7 +69,7 @@ def run_filter(
         source: truth, controls, readings.
         channels: channel -> the manifold of its readings, in the measurement's order.
         delays: what to do about late readings.
-        keys: a random key a run for estimators whose `init` takes `keys`.
+        keys: a random key per run for estimators whose `init` takes `keys`.
         keep_cov: whether to record full covariances.
         keep_innovations: whether to record ν and S of what was fused.
         stop: asked at every instant; True ends the loop and returns None.
@@ -105,7 +105,7 @@ def run_filter(
             if len(smoothed) != len(recorder.truth):
                 raise DimensionError(
                     f"{type(estimator).__name__}: smooth returned {len(smoothed)} beliefs; "
-                    f"expected {len(recorder.truth)}, one a time and one for the start"
+                    f"expected {len(recorder.truth)}, one per time and one for the start"
                 )
             for k, belief in enumerate(smoothed):
                 recorder.add(k, recorder.truth[k], belief)

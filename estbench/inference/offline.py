@@ -33,10 +33,10 @@ def follow(
         y: measurements `(K, run, ny)` at times[1], ..., times[K]; NaN where none arrived.
         u: controls `(K, run, nu)`, each held to the next time; default 0.
         times: `(K + 1,)` in s, rising; default 0, 1, ..., K.
-        keys: a random key a run for estimators whose `init` takes `keys`.
+        keys: a random key per run for estimators whose `init` takes `keys`.
 
     Returns:
-        The K + 1 beliefs, with all that a smoother needs: `estimator.smooth(passage)`.
+        The K + 1 beliefs, with all that a smoother needs: `estimator.smooth(history)`.
 
     Raises:
         DimensionError: y, u or times do not fit each other or the prior, or times do not rise.
@@ -56,19 +56,19 @@ def follow(
             "y has steps"
         )
     belief = start(estimator, mean, cov, keys)
-    passage = FilterHistory([belief], list(controls), instants.tolist(), [[]])
+    history = FilterHistory([belief], list(controls), instants.tolist(), [[]])
     with quiet():  # failed runs are marked
-        for reading, held, t, end in zip(y, controls, passage.times, passage.times[1:]):
+        for reading, held, t, end in zip(y, controls, history.times, history.times[1:]):
             belief = estimator.predict(belief, held, t, end - t)
-            passage.measurements.append([])
+            history.measurements.append([])
             came = ~np.isnan(reading)
             if came.any():
                 mask = None if came.all() else came
                 m = Measurement(np.where(came, reading, 0.0), held, None, mask)
                 belief, _ = estimator.update(belief, m.y, m.u, end, m.channels, m.mask)
-                passage.measurements[-1].append(m)
-            passage.beliefs.append(belief)
-    return passage
+                history.measurements[-1].append(m)
+            history.beliefs.append(belief)
+    return history
 
 
 def _widths(estimator: Estimator, y: Array, u: ArrayLike | None) -> tuple[int, int]:

@@ -22,7 +22,7 @@ TRACES_BYTES = 2**30
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What one batch of runs gave: the true states and a record an estimator."""
+    """What one batch of runs gave: the true states and one record per estimator."""
 
     truth: records.Record
     records: dict[str, records.Record]
@@ -43,7 +43,7 @@ def default_keep(prepared: setup.Setup, dtype: str = "float64") -> str:
 
 
 def default_batch_size(prepared: setup.Setup, keep: str) -> int:
-    """Runs a batch: what fits `BATCH_BYTES`, at most 250 (caches), else a quarter of the runs.
+    """Runs per batch: what fits `BATCH_BYTES`, at most 250 (caches), else a quarter of the runs.
 
     It does not depend on the machine, so neither do the results, to the last bit.
     """

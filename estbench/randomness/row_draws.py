@@ -23,7 +23,7 @@ class RowDraws:
     Args:
         rows: how many.
         purpose: of the streams.
-        width: numbers a draw.
+        width: numbers per draw.
         kind: standard normal, or uniform on [0, 1).
         block: draws that are made at a time; all of them where their count is known.
         shape: what becomes of a block `(block, width)` before it is handed out, draw by draw;

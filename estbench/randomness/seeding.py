@@ -30,7 +30,7 @@ def words(seed: int, runs: Sequence[int], purpose: int, count: int) -> NDArray[n
         seed: at least 0.
         runs: numbers below 2³².
         purpose: a number below 2³².
-        count: how many words a run.
+        count: words per run.
     """
     pool = [np.full(len(runs), word) for word in np.random.SeedSequence(seed).pool]
     blocks = max(_POOL, -(-seed.bit_length() // 32))  # of 32 bits that have been mixed already

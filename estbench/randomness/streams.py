@@ -57,7 +57,7 @@ def uniforms(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: 
 
 
 def run_keys(seed: Seeds, runs: Sequence[int], purpose: str) -> Keys:
-    """A 64-bit key a run `(run,)`, for estimators that draw random numbers of their own."""
+    """One 64-bit key per run `(run,)`, for estimators that draw random numbers of their own."""
     word = zlib.crc32(purpose.encode())
     if isinstance(seed, int):
         return seeding.words(seed, runs, word, 1)[:, 0]

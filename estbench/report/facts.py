@@ -148,7 +148,7 @@ def _differences(source: Stored, channels: Sequence[ChannelDescription]) -> list
     for key, draw in scenario.truth.draw.items():
         spread = [f"{100 * draw.relative_std:g}%"] if draw.relative_std else []
         spread += [f"{draw.std:g}"] if draw.std else []
-        lines.append(f"truth: {key} drawn once a run, σ = {' + '.join(spread) or '0'}")
+        lines.append(f"truth: {key} drawn once per run, σ = {' + '.join(spread) or '0'}")
     for name, field in type(scenario.filter).model_fields.items():
         value = getattr(scenario.filter, name)
         if name == "channels":

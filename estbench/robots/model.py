@@ -30,7 +30,7 @@ class SensorChannel:
         name: the channel's name.
         index: the MuJoCo sensor; any number where `measurand` is given.
         cov: R `(m, m)` in the tangent of the reading.
-        scale: over time, a factor on the noise's std (one, or one an axis) or R itself `(m, m)`;
+        scale: over time, a factor on the noise's std (one, or one per axis) or R itself `(m, m)`;
             None for a constant.
         measurand: what it reads, where that is not one sensor.
     """

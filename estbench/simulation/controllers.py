@@ -1,7 +1,7 @@
 """Controllers that excite the robot: u = controller(step, t, x), batched over runs.
 
-A controller may see the true state or an estimate of it. Random ones draw from each run's own
-stream beforehand, so the control of run i depends on nothing but its seed and what it sees.
+A controller sees the true state or an estimate of it. A random one draws its numbers in advance
+from the stream of each run, so the control of run i depends only on the seed and on what it sees.
 """
 
 import csv
@@ -41,7 +41,7 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """What a controller may know: the nominal robot.
+    """The nominal robot, which a controller may use.
 
     Attributes:
         model: compiled MuJoCo model.
@@ -69,7 +69,7 @@ def build(
     """The controller of a scenario for some runs.
 
     Raises:
-        ControllerError: it cannot be made (no stabilizing gain, an unreadable file, ...).
+        ControllerError: it cannot be built (no stabilizing gain, an unreadable file, ...).
         DimensionError: a setting has the wrong count of values.
     """
     names = actuator_names(plant.model)
@@ -103,7 +103,7 @@ def build(
 
 
 def checked(controller: Controller, what: str, nu: int) -> Controller:
-    """The controller with what it raises and returns turned into one clear error."""
+    """The controller; what it raises, and an unusable result, become a `ControllerError`."""
 
     def call(k: int, t: float, x: Array) -> Array:
         try:
@@ -131,7 +131,7 @@ def checked(controller: Controller, what: str, nu: int) -> Controller:
 
 
 def clamped(section: ControlSection, plant: Plant) -> list[str]:
-    """A notice of each actuator that is asked for a control beyond its ctrlrange."""
+    """A notice for each actuator whose control exceeds its ctrlrange."""
     names, model = actuator_names(plant.model), plant.model
     centre = plant.u0 if section.offset == "keyframe" else np.zeros(model.nu)
     if section.kind == "constant" and section.value is not None:

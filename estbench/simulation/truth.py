@@ -35,7 +35,7 @@ class Simulator:
         schedule: the instants of an episode.
         disturbance: the true process noise.
         initial: mean `(nx,)` and Cholesky factor of P₀ `(n, n)`.
-        draws: model parameters drawn once a run.
+        draws: model parameters drawn once per run.
         rows: how many robots.
         instants: all instants of an episode, where it has an end.
         nthread: threads of the physics.

@@ -77,10 +77,10 @@ class RTS(FilterThenSmooth):
 
     bases: ClassVar[tuple[str, ...]] = ("ekf", "iekf", "sr_ekf", "kf", "lkf", "cd_ekf")
 
-    def smooth(self, passage: FilterHistory) -> list[Gaussian]:
+    def smooth(self, history: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
-        posteriors = self._gaussians(passage.beliefs)
-        return rts(self.model, posteriors, passage.controls, passage.times)
+        posteriors = self._gaussians(history.beliefs)
+        return rts(self.model, posteriors, history.controls, history.times)
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,11 @@ class URTS(FilterThenSmooth):
     base: str = "ukf"
     bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf")
 
-    def smooth(self, passage: FilterHistory) -> list[Gaussian]:
+    def smooth(self, history: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
-        posteriors = self._gaussians(passage.beliefs)
+        posteriors = self._gaussians(history.beliefs)
         rule = getattr(self._filter, "rule", None)
-        return urts(self.model, posteriors, passage.controls, passage.times, rule)
+        return urts(self.model, posteriors, history.controls, history.times, rule)
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ class MAP(FilterThenSmooth):
                 "leave it out for the whole run"
             )
 
-    def smooth(self, passage: FilterHistory) -> list[Gaussian]:
+    def smooth(self, history: FilterHistory) -> list[Gaussian]:
         """Window after window."""
-        filtered, times = self._gaussians(passage.beliefs), np.asarray(passage.times)
+        filtered, times = self._gaussians(history.beliefs), np.asarray(history.times)
         smoothed = []
         first = 0
         while first < len(times) - 1:
@@ -153,9 +153,9 @@ class MAP(FilterThenSmooth):
             last = max(int(np.searchsorted(times, end, "right")) - 1, first + 1)
             part = slice(first, last + 1)
             fit = map_estimate(
-                self.model, filtered[first], passage.controls[first:last], passage.times[part],
+                self.model, filtered[first], history.controls[first:last], history.times[part],
                 # The filter has fused the first ones already.
-                [[], *passage.measurements[first + 1 : last + 1]],
+                [[], *history.measurements[first + 1 : last + 1]],
                 start=[belief.mean for belief in filtered[part]],
                 iterations=self.iterations, tolerance=self.tolerance,
             )  # fmt: skip

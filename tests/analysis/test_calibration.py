@@ -41,7 +41,7 @@ def test_the_ekf_of_a_linear_model_gets_the_same_verdicts(name):
 
 @pytest.mark.parametrize("runs", [5, 10, 20])
 def test_short_runs_are_where_students_interval_fails(runs):
-    # Five steps: some four degrees of freedom a run, so NEES/n is skewed.
+    # Five steps: some four degrees of freedom per run, so NEES/n is skewed.
     values = averages(oscillator(), 2000 * runs, 5, seed=2)
     ours, student = calibrate(values, runs), calibrate(values, runs, interval=mean_interval)
     low, high = band(0.05, 2000)

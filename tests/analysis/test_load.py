@@ -21,7 +21,7 @@ def test_a_whole_store_is_what_was_run(stores):
         assert set(record) == set(records.SUMMARY | records.COST)
         for name in records.SUMMARY:
             np.testing.assert_array_equal(record[name], results.records[label][name])
-        # Cost is kept a batch, in text: equal but for rounding.
+        # Cost is kept per batch, in text: equal but for rounding.
         assert stored.summaries[label].cost == pytest.approx(results[label].cost)
         assert stored.summaries[label].anees == results[label].anees
 

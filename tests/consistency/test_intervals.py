@@ -75,7 +75,7 @@ def test_positive_mean_of_alike_values_is_students():
     assert [i.low, i.high] == pytest.approx([x.mean() - half, x.mean() + half], rel=1e-5)
 
 
-@pytest.mark.parametrize("shape", [2.0, 5.0, 50.0])  # 4, 10, 100 degrees of freedom a run
+@pytest.mark.parametrize("shape", [2.0, 5.0, 50.0])  # 4, 10, 100 degrees of freedom per run
 @pytest.mark.parametrize("runs", [3, 5, 10, 50])
 def test_positive_mean_covers_skewed_averages(shape, runs):
     count = 2000

@@ -203,7 +203,7 @@ def test_bad_calls():
         env.step(np.zeros((2, 1)))
     with pytest.raises(EnvError, match=r"reset all rows first"):
         env.reset(options={"reset_mask": np.array([True, False])})
-    with pytest.raises(EnvError, match=r"seed has 3 values; expected one a row, 2"):
+    with pytest.raises(EnvError, match=r"seed has 3 values; expected one per row, 2"):
         env.reset(seed=[1, 2, 3])
     env.reset(seed=[4, None])
     for mask, message in (

@@ -57,7 +57,11 @@ MODEL = linear_model(0)
         ("iekf", {"iterations": 2.5}, "IEKF: iterations is 2.5; use an integer of at least 1 and"),
         ("ekf", {"covariance_update": "best"}, "EKF: covariance_update is 'best'; use one"),
         ("lkf", {"handover_time": -1.0}, r"LKF: handover_time is -1.0; use a number in \[0, inf"),
-        ("kf", {"u0": [1.0, 2.0]}, r"KF: u0 is \[1.0, 2.0\]; use 1 finite numbers, one a control"),
+        (
+            "kf",
+            {"u0": [1.0, 2.0]},
+            r"KF: u0 is \[1.0, 2.0\]; use 1 finite numbers, one per control",
+        ),
         ("cd_ekf", {}, "ContinuousDiscreteEKF: LinearModel has no method 'flow'; use a continuous"),
         ("rts", {"base": "pf"}, "RTS: base is 'pf'; use one of ekf"),
         ("rts", {"base": 3}, "RTS: base is 3; use one of ekf"),
@@ -201,8 +205,8 @@ class Single(EKF):
         return belief
 
 class Short(EKF):
-    def smooth(self, passage):
-        return passage.beliefs[1:]
+    def smooth(self, history):
+        return history.beliefs[1:]
 """
 
 
@@ -213,7 +217,7 @@ class Short(EKF):
                     "has init, predict, update, mean, cov"),
         ("Flat", "Flat: mean has shape (2, 2) and cov (2, 2); expected (2, 2) and (2, 2, 2)"),
         ("Single", "Single: update returned Gaussian; return a pair, the belief and an Innovation"),
-        ("Short", "Short: smooth returned 10 beliefs; expected 11, one a time and one"),
+        ("Short", "Short: smooth returned 10 beliefs; expected 11, one per time and one"),
         ("Missing", "estimator '{0}:Missing': module {0} has no 'Missing'"),
     ],
 )  # fmt: skip

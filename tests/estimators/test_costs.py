@@ -16,7 +16,7 @@ N, RUNS, SIZE = 4, 2, 20
 
 
 class Counter:
-    """A function of states that counts for how many states a run it is asked."""
+    """A function of states that counts for how many states per run it is asked."""
 
     def __init__(self, function):
         self.function, self.count = function, 0

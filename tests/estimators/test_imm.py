@@ -291,7 +291,7 @@ def test_quaternion_states():
         (
             {"models": [linear_model(1)], "process_noise_scales": [1.0, 2.0]},
             EstimatorError,
-            r"IMM: process_noise_scales is \[1.0, 2.0\]; use .* one a mode",
+            r"IMM: process_noise_scales is \[1.0, 2.0\]; use .* one per mode",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""On a linear-Gaussian model the filters are the Kalman filter; masks and failures a run."""
+"""On a linear-Gaussian model the filters are the Kalman filter; masks and failures per run."""
 
 from dataclasses import replace
 

@@ -83,7 +83,7 @@ class TextbookUKF:
 
 
 def check(filter, textbooks, seed):
-    """Several steps of one filter on RUNS runs against one textbook filter a run, at 1e-10."""
+    """Several steps of one filter on RUNS runs against one textbook filter per run, at 1e-10."""
     model, rng = filter.model, np.random.default_rng(seed)
     n, m = model.space.n, model.output().n
     x, P = 0.3 * rng.standard_normal((RUNS, n)), random_cov(rng, n, RUNS, scale=0.2)

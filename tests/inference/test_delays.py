@@ -101,7 +101,7 @@ def window(prepared, instants):
 
 
 def count(trajectory, prepared):
-    """Numbers that arrive, a run `(run,)`."""
+    """Numbers that arrive, per run `(run,)`."""
     total = np.zeros(trajectory.x.shape[1], int)
     for arrived in trajectory.deliveries:
         for d in arrived:

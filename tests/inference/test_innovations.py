@@ -82,7 +82,7 @@ def test_the_names_of_readings():
 
 
 def innovation(value, dof, runs=3):
-    """Of `value` in every component, with S = value² I; `dof` a run."""
+    """Of `value` in every component, with S = value² I; `dof` per run."""
     m = max(dof)
     full = np.full((runs, m), float(value))
     S = np.tile(value**2 * np.eye(m), (runs, 1, 1))

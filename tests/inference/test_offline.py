@@ -50,8 +50,8 @@ def test_the_beliefs_are_those_of_the_event_loop(name):
     assert expected is not None
     assert expected.cov is not None
     estimator = registry.create(name, {}, model)
-    passage = follow(estimator, mean, cov, y, u=u, times=TIMES, keys=keys)
-    beliefs = estimator.smooth(passage) if hasattr(estimator, "smooth") else passage.beliefs
+    history = follow(estimator, mean, cov, y, u=u, times=TIMES, keys=keys)
+    beliefs = estimator.smooth(history) if hasattr(estimator, "smooth") else history.beliefs
     for k, belief in enumerate(beliefs):
         np.testing.assert_allclose(estimator.mean(belief), expected.mean[k], rtol=0, atol=1e-12)
         np.testing.assert_allclose(estimator.cov(belief), expected.cov[k], rtol=0, atol=1e-12)
@@ -61,15 +61,15 @@ def test_one_component_may_be_missing_and_time_is_counted_in_steps():
     model, mean, cov, _, y = given(1)
     y[:, :, 0] = np.nan
     ekf = registry.create("ekf", {}, model)
-    passage = follow(ekf, mean, cov, y)
+    history = follow(ekf, mean, cov, y)
     belief, still = ekf.init(mean, cov), np.zeros((RUNS, 1))
     mask = np.broadcast_to([False] + [True] * (y.shape[-1] - 1), y[0].shape)
     for k in range(STEPS):
         belief = ekf.predict(belief, still, float(k), 1.0)
         belief, _ = ekf.update(belief, np.nan_to_num(y[k]), still, k + 1.0, None, mask)
-        np.testing.assert_allclose(passage.beliefs[k + 1].mean, belief.mean, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(passage.beliefs[k + 1].cov, belief.cov, rtol=0, atol=1e-12)
-    smoothed = rts(model, passage.beliefs, passage.controls, passage.times)
+        np.testing.assert_allclose(history.beliefs[k + 1].mean, belief.mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(history.beliefs[k + 1].cov, belief.cov, rtol=0, atol=1e-12)
+    smoothed = rts(model, history.beliefs, history.controls, history.times)
     assert np.isfinite([b.mean for b in smoothed]).all()
 
 

@@ -138,7 +138,7 @@ def driven(estimator, prepared, mean, cov, step):
     [("pendulum", None), ("acrobot", "force"), ("cartpole", "actuator"), ("quadrotor", None)],
 )
 def test_the_discrete_ekf_converges_to_it_with_the_order_of_its_integrator(robot, kind):
-    """Euler and noise once a step are of order one, so halving the timestep halves the distance."""
+    """Euler and noise once per step are of order one: half the timestep, half the distance."""
     distance = []
     for step in (0.005, 0.0025, 0.00125):
         prepared, mean, cov = start(robot, step, kind=kind)

@@ -177,7 +177,7 @@ def test_misalignment_turns_the_reading_by_a_small_rotation():
     for k in range(2):
         assert_variance(y[0, :, k], (2 * angle) ** 2)
     other, _ = simulate(ideal(3, misalignment=angle), AXES, clean=[3.0, 0.0, 0.0])
-    # One rotation a run: z × x and x × z tell the same angle about y.
+    # One rotation per run: z × x and x × z tell the same angle about y.
     np.testing.assert_allclose(other[0, :, 2] / -3.0, y[0, :, 0] / 2.0, atol=1e-15)
 
 

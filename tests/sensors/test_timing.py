@@ -165,7 +165,7 @@ def test_a_run_with_more_instants_than_fit_into_memory_is_refused(monkeypatch):
     message = r"is 1e\+09 s: 5e\+10 steps of 0\.02 s.* 7e\+10 instants.*at most 15; .*seconds"
     with pytest.raises(ScenarioError, match=message):
         instants(named, 0.01, 2, 1e9)
-    every = [("a", Timing(1)), ("b", Timing(3, jitter=1))]  # never more than one a tick
+    every = [("a", Timing(1)), ("b", Timing(3, jitter=1))]  # never more than one per tick
     assert len(instants(every, 0.01, 2, 0.14)) == 14
     with pytest.raises(ScenarioError, match="16 instants"):
         instants(every, 0.01, 2, 0.16)

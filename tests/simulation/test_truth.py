@@ -233,7 +233,7 @@ def test_initial_states_spread_as_p0():
     assert_covariance(error, 0.04 * np.eye(robots.space.n))
 
 
-# Parameters drawn once a run
+# Parameters drawn once per run
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from tests.helpers import linear_model, random_cov, simulated
 RUNS = 4
 
 
-def passage(estimator, seed=0, steps=6, runs=3):
+def filter_history(estimator, seed=0, steps=6, runs=3):
     """A filter's way through random measurements of a linear model."""
     rng = np.random.default_rng(seed)
     mean, cov = rng.standard_normal((runs, 3)), random_cov(rng, 3, runs)
@@ -50,9 +50,9 @@ def test_all_are_one_on_a_linear_model(name, settings, seed):
     model = linear_model(seed)
     smoother = registry.create(name, settings, model)
     assert isinstance(smoother, Smoother)
-    reference = passage(EKF(model), seed)
+    reference = filter_history(EKF(model), seed)
     expected = rts(model, reference.beliefs, reference.controls, reference.times)
-    smoothed = smoother.smooth(passage(smoother, seed))
+    smoothed = smoother.smooth(filter_history(smoother, seed))
     assert len(smoothed) == len(expected) == 7
     for ours, other in zip(smoothed, expected):
         np.testing.assert_allclose(smoother.mean(ours), other.mean, rtol=1e-10, atol=1e-10)
@@ -62,7 +62,7 @@ def test_all_are_one_on_a_linear_model(name, settings, seed):
 @pytest.mark.parametrize(("window", "ends"), [(2.0, [2, 4, 6]), (4.0, [4, 6]), (0.5, [1, 2, 3])])
 def test_a_window_starts_from_the_filter_and_knows_its_own_measurements(window, ends):
     model = linear_model(1)
-    whole = passage(EKF(model))
+    whole = filter_history(EKF(model))
     smoothed = MAP(model, window=window).smooth(whole)
     first = 0
     for last in ends:
@@ -120,14 +120,14 @@ def test_what_is_judged_is_the_smoothed_run_and_the_filters_innovations(robot):
 class Witness(RTS):
     """Keeps what it was shown."""
 
-    def smooth(self, passage):
-        object.__setattr__(self, "seen", passage)
-        return super().smooth(passage)
+    def smooth(self, history):
+        object.__setattr__(self, "seen", history)
+        return super().smooth(history)
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.05])
 def test_a_late_reading_stands_where_it_belongs(latency):
-    """The passage is that of a filter that had each reading in its time."""
+    """The history is that of a filter that had each reading in its time."""
     prepared, source = recorded("pendulum", f"channels.encoder.latency={latency}")
     witness = Witness(prepared.model())
     traced(witness, prepared, source, Delays(window=prepared.window))
@@ -227,7 +227,7 @@ def test_a_window_longer_than_the_run():
 
 def test_a_users_filter_can_be_smoothed():
     smoother = RTS(linear_model(0), base="estbench.estimators.ekf:EKF")
-    assert len(smoother.smooth(passage(smoother))) == 7
+    assert len(smoother.smooth(filter_history(smoother))) == 7
 
 
 class Wrapped(EKF):
@@ -253,7 +253,7 @@ class Wrapped(EKF):
 @pytest.mark.parametrize("kind", [RTS, MAP])
 def test_a_base_of_ones_own_answers_for_its_beliefs(kind):
     own, built_in = (kind(linear_model(0), base=base) for base in (f"{__name__}:Wrapped", "ekf"))
-    one, other = passage(own), passage(built_in)
+    one, other = filter_history(own), filter_history(built_in)
     for estimator, history in ((own, one), (built_in, other)):
         np.testing.assert_array_equal(
             estimator.cov(history.beliefs[3]), built_in.cov(other.beliefs[3])
