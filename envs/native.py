@@ -114,8 +114,9 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         return self._renderer.render(self.render_mode, self.world.x[0], belief)
 
     def close(self) -> None:
-        """Release the renderer."""
+        """Release the renderer and the backends."""
         self._renderer.close()
+        self.world.close()
 
     def _seen(self) -> tuple[Array, dict[str, Any]]:
         return self._observe(self.world.x)[0].copy(), first(self.world.info())

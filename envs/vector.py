@@ -164,8 +164,9 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release the renderer."""
+        """Release the renderer and the backends."""
         self._renderer.close()
+        self.world.close()
 
     def _restart(self, mask: Mask) -> None:
         rows = np.flatnonzero(mask)

@@ -139,6 +139,7 @@ class VectorEstimatedObservation(VectorWrapper):
 
     def close(self, **kwargs: Any) -> None:
         """Close the environments."""
+        self._watch.close()
         self.env.close(**kwargs)
 
     def _restart(self, mask: Mask, states: States) -> None:

@@ -70,8 +70,10 @@ class Watch:
             )
         self._std, self._cov = std, np.repeat(np.diag(std**2)[None], rows, axis=0)
         self._range = ControlRange.of(adopted.model)
-        engine = backend.create(adopted.model, nthread)
-        self.suite = SensorSuite(adopted.model, engine, adopted.channels, rows, look=not filtered)
+        self._backend = backend.create(adopted.model, nthread)
+        self.suite = SensorSuite(
+            adopted.model, self._backend, adopted.channels, rows, look=not filtered
+        )
         timed = False
         self.filter: LiveFilter | None = None
         if filtered:
@@ -144,6 +146,12 @@ class Watch:
                     self.filter.step(event, u, arrived)
             if self.filter is not None:
                 self.filter.settle()
+
+    def close(self) -> None:
+        """Release the backends of the sensors and of the filter."""
+        self._backend.close()
+        if self.filter is not None:
+            self.filter.close()
 
     def info(self, x: Array) -> dict[str, Any]:
         """`info` of every row: see `LiveFilter.info`; without a filter, the truth."""

@@ -177,6 +177,12 @@ class World:
             reward, ended, late = np.where(mask, reward, 0.0), ended & mask, late & mask
         return reward, ended, late
 
+    def close(self) -> None:
+        """Release the backends of the robots and of the filter."""
+        self.simulator.close()
+        if self.filter is not None:
+            self.filter.close()
+
     def info(self) -> dict[str, Array]:
         """`info` of every row: see `LiveFilter.info`; without a filter, the truth."""
         if self.filter is None:

@@ -135,6 +135,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
 
     def close(self) -> None:
         """Close the environment."""
+        self._watch.close()
         super().close()
 
     def _state(self) -> Array:

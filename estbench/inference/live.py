@@ -153,6 +153,11 @@ class LiveFilter:
             "diverged": diverged,
         }
 
+    def close(self) -> None:
+        """Release the estimator and its model; no step can follow."""
+        self._cohorts.clear()
+        self.__dict__.pop("estimator", None)
+
     def _begin(self, rows: Ints, mean: Array, cov: Array, keys: Keys | None) -> None:
         if len(rows) == self.rows:
             self._cohorts = [self._cohort(None, mean, cov, keys)]

@@ -103,6 +103,10 @@ class Simulator:
         self.clocks.start(rows)
         self.suite.start(rows, seed, runs, self.clocks.tick, self.x, u)
 
+    def close(self) -> None:
+        """Release the backend."""
+        self._backend.close()
+
     def advance(self, event: Event, u: Array) -> list[Delivery]:
         """Step some rows under controls u `(row, nu)`, and read what arrives.
 

@@ -405,7 +405,6 @@ def test_mujocos_global_settings_are_put_back():
     for env in envs:
         env.close()
         env.close()
-    del env, envs  # and with them their backends
     gc.collect()
     assert library._users == before
 
