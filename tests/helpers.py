@@ -345,7 +345,7 @@ def arrived(timing: Timing, taken: Ints, seed: int, runs: Sequence[int], name: s
 
 def at_zero(channel: Channel, seed: int, runs: Sequence[int], count: int) -> Array:
     """Readings `(reading, run, m)` of some runs where the true reading is zero."""
-    sampler, zero = Sampler(channel, len(runs)), np.zeros((len(runs), channel.space.nx))
+    sampler, zero = Sampler([channel], len(runs)), np.zeros((len(runs), channel.space.nx))
     sampler.start(np.arange(len(runs)), seed, runs, 0)
     due = channel.timing.due_tick(np.arange(count)).tolist()
     return np.array([sampler.at(tick, zero)[0].y for tick in due])

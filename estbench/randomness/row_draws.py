@@ -4,7 +4,7 @@ The numbers of a row are those of its run's stream (`streams`), whatever the oth
 taken from the generators a block of draws at a time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -18,12 +18,11 @@ BLOCK = 32
 
 
 class RowDraws:
-    """Numbers `(row, width)` of one purpose.
+    """Numbers `(row, width)` of some purposes, side by side.
 
     Args:
         rows: how many.
-        purpose: of the streams.
-        width: numbers per draw.
+        parts: purpose of the streams -> numbers per draw.
         kind: standard normal, or uniform on [0, 1).
         block: draws that are made at a time; all of them where their count is known.
         shape: what becomes of a block `(block, width)` before it is handed out, draw by draw;
@@ -33,16 +32,16 @@ class RowDraws:
     def __init__(
         self,
         rows: int,
-        purpose: str,
-        width: int,
+        parts: Mapping[str, int],
         kind: Kind = "normal",
         block: int = BLOCK,
         shape: Callable[[Array], Array] | None = None,
     ):
-        self._purpose, self._width, self._kind, self._shape = purpose, width, kind, shape
-        self._generators: list[np.random.Generator | None] = [None] * rows
+        self._parts, self._width = dict(parts), sum(parts.values())
+        self._kind, self._shape = kind, shape
+        self._generators: list[list[np.random.Generator]] = [[] for _ in range(rows)]
         self._length = max(1, block)
-        self._block = np.zeros((self._length, rows, width))
+        self._block = np.zeros((self._length, rows, self._width))
         self._every = np.arange(rows)
         self._count = np.zeros(rows, np.int64)
         self._together: int | None = 0
@@ -61,8 +60,9 @@ class RowDraws:
             self._together = 0
         elif self._together is not None:
             self._count[:], self._together = self._together, None
-        for row, generator in zip(rows.tolist(), streams(seed, runs, self._purpose)):
-            self._generators[row], self._count[row] = generator, 0
+        generators = zip(*(streams(seed, runs, purpose) for purpose in self._parts))
+        for row, own in zip(rows.tolist(), generators):
+            self._generators[row], self._count[row] = list(own), 0
             self._fill(row)
 
     def draw(self, mask: Mask | None = None) -> Array:
@@ -90,11 +90,10 @@ class RowDraws:
         return self._block[place, self._every]
 
     def _fill(self, row: int) -> None:
-        generator = self._generators[row]
-        if generator is None or not self._width:
+        own = self._generators[row]
+        if not own or not self._width:
             return
-        size = self._length, self._width
-        numbers = (
-            generator.standard_normal(size) if self._kind == "normal" else generator.random(size)
-        )
+        normal, sizes = self._kind == "normal", [(self._length, w) for w in self._parts.values()]
+        parts = [g.standard_normal(s) if normal else g.random(s) for g, s in zip(own, sizes)]
+        numbers = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         self._block[:, row] = numbers if self._shape is None else self._shape(numbers)

@@ -111,7 +111,7 @@ def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> 
     named = [(channel.name, channel.timing)]
     step = channel.timing.timestep
     last = timing.instants(named, step, channel.timing.period, duration)[-1].tick
-    sampler = Sampler(channel, runs, last)
+    sampler = Sampler([channel], runs, last)
     sampler.start(np.arange(runs), seed, range(runs), 0)
     clean = np.zeros((runs, channel.space.n))
     return np.array([sampler.at(tick, clean)[0].y for tick in channel.timing.due(last).tolist()])

@@ -1,13 +1,14 @@
-"""The readings of one channel on many rows: who samples when, what is said of it, when it arrives.
+"""The readings of one channel, or of several alike, on many rows: sampled, altered, delivered.
 
 A row is one robot. Time is counted in ticks, physics steps since the simulation began; each row has
 its own clock, which starts at the tick at which its episode begins. Every random number comes from
 the stream of the run that a row is in, so a run is the same in any company.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from estbench.sensors import imperfections
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
 from estbench.shapes import Array, Ints, Mask
+from estbench.spaces.manifold import product
 from estbench.spaces.selection import chosen, select
 
 NEVER = int(np.iinfo(np.int64).max)
@@ -43,32 +45,34 @@ class Delivery:
 
 
 class Sampler:
-    """One channel on some rows, reading after reading.
+    """A channel, or several that are sampled together, on some rows, reading after reading.
 
     Args:
-        channel: the sensor.
+        channels: one, or several that are `alike`.
         rows: how many.
         last: tick after which no reading is due; None for no end.
     """
 
-    def __init__(self, channel: Channel, rows: int, last: int | None = None):
-        self.channel, self._rows, self._last = channel, rows, last
-        self._space = channel.space
+    def __init__(self, channels: Sequence[Channel], rows: int, last: int | None = None):
+        channel = channels[0]
+        self.channels, self.channel = tuple(channels), channel
+        self._rows, self._last = rows, last
+        self._space = channel.space if len(channels) == 1 else product([c.space for c in channels])
+        stops = np.cumsum([0, *(c.space.nx for c in channels)]).tolist()
+        self._points = [slice(a, b) for a, b in pairwise(stops)]
         timing, name, m, part = channel.timing, channel.name, channel.space.n, channel.imperfections
         block = BLOCK if last is None else len(timing.due(last))
-        self._noise = RowDraws(
-            rows, f"sensor:{name}", m, block=block,
-            shape=partial(channel.noise_from, t=0.0) if channel.schedule is None else None,
-        )  # fmt: skip
+        widths = {f"sensor:{c.name}": c.space.n for c in channels}
+        self._noise = RowDraws(rows, widths, block=block, shape=_noise(channels))
         normals, uniforms = ({}, {}) if part is None else (part.normals(m), part.uniforms())
         self._draws = {
             k: RowDraws(
-                rows, f"sensor:{name}:{k}", width, "normal" if k in normals else "uniform", block
+                rows, {f"sensor:{name}:{k}": w}, "normal" if k in normals else "uniform", block
             )
-            for k, width in (normals | uniforms).items()
+            for k, w in (normals | uniforms).items()
         }
-        self._jitter = RowDraws(rows, f"sensor:{name}:jitter", 1, "uniform", block)
-        self._latency = RowDraws(rows, f"sensor:{name}:latency", 1, block=block)
+        self._jitter = RowDraws(rows, {f"sensor:{name}:jitter": 1}, "uniform", block)
+        self._latency = RowDraws(rows, {f"sensor:{name}:latency": 1}, block=block)
         self._memory: imperfections.State | None = None
         # Of each row: where its episode began, its next reading, when that is due and taken.
         self._begin, self._number = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
@@ -126,10 +130,11 @@ class Sampler:
             moved: rows for which time has passed `(row,)`; None is all.
         """
         if clean is not None:
-            delivery, number = self._take(tick, clean, moved)
+            deliveries, number = self._take(tick, clean, moved)
             if not self._late:
-                return [delivery]
-            self._send(delivery, number)
+                return deliveries
+            for delivery in deliveries:
+                self._send(delivery, number)
         return self._receive(tick, moved) if tick >= self._soonest else []
 
     def _receive(self, tick: int, moved: Mask | None) -> list[Delivery]:
@@ -153,7 +158,9 @@ class Sampler:
         self._soonest = min((at for at, _ in waiting), default=NEVER)
         return arrived
 
-    def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, int | Ints]:
+    def _take(
+        self, tick: int, clean: Array, moved: Mask | None
+    ) -> tuple[list[Delivery], int | Ints]:
         """The readings that are due, and the number of each row's."""
         if self._shared is not None and moved is None:
             due, here, number = self._shared, None, self._shared_number
@@ -169,7 +176,10 @@ class Sampler:
                 self._plan(taking)
                 taking = taking & (self._next <= tick)
         mask = got if here is None else here if got is None else here & got
-        return Delivery(self.channel.name, due, y, mask, tick), number
+        if len(self.channels) == 1:
+            return [Delivery(self.channel.name, due, y, mask, tick)], number
+        parts = zip(self.channels, self._points)
+        return [Delivery(c.name, due, y[:, point], mask, tick) for c, point in parts], number
 
     def _send(self, delivery: Delivery, number: int | Ints) -> None:
         """Put readings on their way, those that arrive together as one delivery."""
@@ -264,3 +274,26 @@ class Sampler:
             at = np.where(due > self._last, NEVER, at)
         self._due = np.where(here, self._begin + due, self._due)
         self._next = np.where(here, at, self._next)
+
+
+def alike(channels: Sequence[Channel]) -> list[list[Channel]]:
+    """The channels, those together that can be sampled together: a step then costs less.
+
+    These have white noise only, uncorrelated and constant, the same sampling times and no latency.
+    """
+    groups: dict[object, list[Channel]] = {}
+    for channel in channels:
+        timing, R = channel.timing, channel.cov
+        white = channel.imperfections is None and channel.schedule is None
+        plain = white and timing.punctual and R.any() and not (R - np.diag(np.diag(R))).any()
+        key = (timing.period, timing.phase) if plain else channel.name
+        groups.setdefault(key, []).append(channel)
+    return list(groups.values())
+
+
+def _noise(channels: Sequence[Channel]) -> Callable[[Array], Array] | None:
+    """What makes noise `(..., m)` of standard normals; None where a schedule has to say it."""
+    if len(channels) > 1:
+        std = np.concatenate([np.diag(channel.factor) for channel in channels])
+        return lambda white: std * white
+    return None if channels[0].schedule else partial(channels[0].noise_from, t=0.0)

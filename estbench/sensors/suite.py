@@ -10,7 +10,7 @@ from estbench.randomness.streams import Seeds
 from estbench.robots.backend import Backend
 from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
-from estbench.sensors.sampling import Delivery, Sampler
+from estbench.sensors.sampling import Delivery, Sampler, alike
 from estbench.shapes import Array, Ints, Mask
 from estbench.spaces.manifold import product
 
@@ -43,10 +43,13 @@ class SensorSuite:
     ):
         self.channels, self.space = tuple(channels), product([c.space for c in channels])
         self._model, self._backend, self._look = model, backend, look
-        self._samplers = [Sampler(c, rows, last) for c in channels]
+        self._samplers = [Sampler(group, rows, last) for group in alike(channels)]
+        order = [c.name for sampler in self._samplers for c in sampler.channels]
+        names = [c.name for c in channels]
+        self._order = {} if order == names else {name: i for i, name in enumerate(names)}
         stops = np.cumsum([0, *(c.space.nx for c in channels)]).tolist()
         self._points = {c.name: slice(a, b) for c, a, b in zip(channels, stops, stops[1:])}
-        self._widths = [c.space.nx for c in channels]
+        self._widths = [sum(c.space.nx for c in s.channels) for s in self._samplers]
         self._plans: dict[tuple[bool, ...], Plan] = {}
         self.latest = np.zeros((rows, self.space.nx))
 
@@ -91,7 +94,8 @@ class SensorSuite:
         y = None
         if any(takes):
             if takes not in self._plans:
-                self._plans[takes] = self._plan([c for c, now in zip(self.channels, takes) if now])
+                due = [s.channels for s, now in zip(self._samplers, takes) if now]
+                self._plans[takes] = self._plan([c for channels in due for c in channels])
             y = self._read(self._plans[takes], t, x, u)
         out: list[Delivery] = []
         start = 0
@@ -101,6 +105,8 @@ class SensorSuite:
                 stop = start + width
                 clean, start = y[:, start:stop], stop
             out += sampler.at(tick, clean, moved)
+        if self._order:  # as the measurement has them
+            out.sort(key=lambda delivery: self._order[delivery.channel])
         if self._look:
             for delivery in out:
                 self._note(delivery)

@@ -68,7 +68,7 @@ class Simulator:
         self._backend, self._range = backend.create(model, nthread), ControlRange.of(model)
         self.clocks = Clocks(rows, schedule, timed)
         count = BLOCK if instants is None else len(instants)
-        self._process = RowDraws(rows, "process", disturbance.rank, block=count)
+        self._process = RowDraws(rows, {"process": disturbance.rank}, block=count)
         last = None if instants is None else instants[-1].tick
         self.suite = SensorSuite(model, self._backend, channels, rows, last, look)
         self._draws = {

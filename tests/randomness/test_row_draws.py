@@ -37,7 +37,7 @@ def assert_drawn(draws, reference, mask):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("block", [1, 2, 7, 32])
 def test_all_rows_together_have_the_numbers_of_the_streams(kind, block):
-    draws = RowDraws(ROWS, "a", WIDTH, kind, block)
+    draws = RowDraws(ROWS, {"a": WIDTH}, kind, block)
     draws.start(np.arange(ROWS), 4, range(10, 10 + ROWS))
     found = np.array([draws.draw().copy() for _ in range(70)])
     expected = KINDS[kind](4, range(10, 10 + ROWS), "a", 70, WIDTH)
@@ -49,7 +49,7 @@ def test_all_rows_together_have_the_numbers_of_the_streams(kind, block):
 @pytest.mark.parametrize("seed", range(5))
 def test_masks_and_restarts_of_single_rows_move_no_other_row(kind, block, seed):
     rng = np.random.default_rng(seed)
-    draws, reference = RowDraws(ROWS, "a", WIDTH, kind, block), OneByOne(kind)
+    draws, reference = RowDraws(ROWS, {"a": WIDTH}, kind, block), OneByOne(kind)
     everyone = list(range(ROWS))
     draws.start(np.arange(ROWS), 1, everyone)
     reference.start(everyone, [1] * ROWS, everyone)
@@ -70,7 +70,7 @@ def test_masks_and_restarts_of_single_rows_move_no_other_row(kind, block, seed):
 
 @pytest.mark.parametrize("block", [3, 32])
 def test_the_first_mask_comes_where_a_block_ends(block):
-    draws, reference = RowDraws(ROWS, "a", WIDTH, block=block), OneByOne("normal")
+    draws, reference = RowDraws(ROWS, {"a": WIDTH}, block=block), OneByOne("normal")
     everyone, mask = list(range(ROWS)), np.array([True, False, True, False, False])
     draws.start(np.arange(ROWS), 1, everyone)
     reference.start(everyone, [1] * ROWS, everyone)
@@ -81,7 +81,7 @@ def test_the_first_mask_comes_where_a_block_ends(block):
 
 
 def test_a_row_that_began_anew_where_a_block_ends():
-    draws, reference = RowDraws(ROWS, "a", WIDTH, block=4), OneByOne("normal")
+    draws, reference = RowDraws(ROWS, {"a": WIDTH}, block=4), OneByOne("normal")
     everyone = list(range(ROWS))
     draws.start(np.arange(ROWS), 1, everyone)
     reference.start(everyone, [1] * ROWS, everyone)
@@ -97,7 +97,7 @@ def test_a_block_is_shaped_draw_by_draw():
     def shape(block):
         return block * np.array([1.0, 2.0, 3.0])
 
-    plain, shaped = RowDraws(2, "a", 3, block=4), RowDraws(2, "a", 3, block=4, shape=shape)
+    plain, shaped = RowDraws(2, {"a": 3}, block=4), RowDraws(2, {"a": 3}, block=4, shape=shape)
     for draws in (plain, shaped):
         draws.start(np.arange(2), 0, [0, 1])
     for _ in range(9):
@@ -105,7 +105,7 @@ def test_a_block_is_shaped_draw_by_draw():
 
 
 def test_nothing_to_draw():
-    draws = RowDraws(2, "a", 0)
+    draws = RowDraws(2, {"a": 0})
     draws.start(np.arange(2), 0, [0, 1])
     assert draws.draw().shape == (2, 0)
     assert draws.draw(np.array([True, False])).shape == (2, 0)

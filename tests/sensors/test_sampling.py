@@ -32,7 +32,7 @@ def started(section, runs: Sequence[int] = range(4), steps=60, name="lift_encode
     model = zoo_model("joints")  # 4 ms steps
     (channel,), _ = sensors.build(model, {name: ChannelSection(**section)}, [name], frame_skip)
     found = instants([(name, channel.timing)], model.opt.timestep, frame_skip, 0.004 * steps)
-    sampler = Sampler(channel, len(runs), found[-1].tick)
+    sampler = Sampler([channel], len(runs), found[-1].tick)
     sampler.start(np.arange(len(runs)), 3, runs, 0)
     return sampler, found
 
@@ -296,7 +296,7 @@ def sampler_of(section, rows, last=None):
     model = zoo_model("joints")
     sections = {"lift_encoder": ChannelSection(**{"noise": 0.5, **section})}
     (channel,), _ = sensors.build(model, sections, ["lift_encoder"], 1, 9.0)
-    return Sampler(channel, rows, last)
+    return Sampler([channel], rows, last)
 
 
 def heard(deliveries, tick, began, runs):

@@ -234,7 +234,7 @@ def test_the_mjcf_timing_is_mujocos(native, tmp_path):
     overrides = ["initial.std=1e-6", f"simulation.duration={steps * T}"]
     prepared = setup.build(load(tmp_path / "m.xml", overrides))
     (channel,) = prepared.channels
-    sampler = Sampler(channel, 2, steps)
+    sampler = Sampler([channel], 2, steps)
     sampler.start(np.arange(2), 0, range(2), 0)
     newest, shown = 0, []
     assert [i.tick for i in prepared.instants] == list(range(1, steps + 1))
