@@ -18,11 +18,17 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from typing import Any, get_args
 
+from beartype import BeartypeConf
 from beartype.door import die_if_unbearable
 from jaxtyping import AbstractArray, jaxtyped
 
-PACKAGES = ("spaces", "models", "robots", "estimators", "smoothers")
+PACKAGES = (
+    "spaces", "randomness", "models", "robots", "estimators", "smoothers", "sensors", "inference",
+    "consistency", "simulation", "experiment",
+)  # fmt: skip
 CALLS = 4
+CONF = BeartypeConf(is_pep484_tower=True)
+"""An integer is a number, as for other type checkers."""
 UNCHECKED = {"Innovation"}
 """What a user's estimator returns: `inference.innovations.check` refuses one that does not fit."""
 
@@ -82,6 +88,8 @@ def _instrument_class(cls: type) -> None:
             setattr(cls, name, type(value)(checked(value.__func__)))
         elif isinstance(value, property) and isinstance(value.fget, types.FunctionType):
             setattr(cls, name, property(checked(value.fget), doc=value.__doc__))
+        elif isinstance(value, functools.cached_property):
+            value.func = checked(value.func)
 
 
 def has_shape(annotation: Any) -> bool:
@@ -113,7 +121,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
                 for name, hint in hints.items():
                     if name in values:
                         prefix = f"{where}: {name}: "
-                        die_if_unbearable(values[name], hint, exception_prefix=prefix)
+                        die_if_unbearable(values[name], hint, conf=CONF, exception_prefix=prefix)
         return result
 
     return wrapper

@@ -6,21 +6,23 @@ import numpy as np
 from scipy import special
 
 from estbench.consistency.intervals import Interval, mean_interval
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 SIGMAS = (1, 2, 3)
 EXPECTED = tuple(float(special.erf(k / np.sqrt(2))) for k in SIGMAS)
 """Shares of normal errors: 0.683, 0.954, 0.997."""
 
 
-def inside(error: Array, std: Array) -> Array:
-    """Share of the steps at which |error| <= kσ, k = 1, 2, 3: `(run, coordinate, 3)`.
+def inside(
+    error: Float[Array, "step run n"], std: Float[Array, "step run n"]
+) -> Float[Array, "run n 3"]:
+    """Share of the steps at which |error| <= kσ, k = 1, 2, 3.
 
     A step whose error or σ is not finite counts as outside.
 
     Args:
-        error: x ⊖ x̂ `(step, run, coordinate)`.
-        std: σ that the filter reports, the same shape.
+        error: x ⊖ x̂.
+        std: σ that the filter reports.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.abs(error) / std
@@ -43,7 +45,7 @@ class Coverage:
         return tuple(e in i for e, i in zip(EXPECTED, self.shares))
 
 
-def coverage(shares: Array, level: float = 0.95) -> Coverage:
+def coverage(shares: Float[Array, "run ... 3"], level: float = 0.95) -> Coverage:
     """Mean share over the runs with Student's t interval, cut to [0, 1].
 
     Steps of one run are correlated, so the spread is taken across runs.

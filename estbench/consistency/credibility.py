@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import cholesky, solve_lower
 
 
@@ -19,30 +19,34 @@ class Credibility:
     """Noncredibility index and inclination, dB; 0 is credible.
 
     Attributes:
-        nci: γ = 10/M Σᵢ |log₁₀ ρᵢ| at each step `(step,)`.
-        inclination: ν = 10/M Σᵢ log₁₀ ρᵢ `(step,)`: above 0 optimistic (P too small), below 0
+        nci: γ = 10/M Σᵢ |log₁₀ ρᵢ| at each step.
+        inclination: ν = 10/M Σᵢ log₁₀ ρᵢ: above 0 optimistic (P too small), below 0
             pessimistic.
         expected: γ of a credible estimator with as many runs. It is above 0, as the mean square
             matrix is estimated from these runs.
     """
 
-    nci: Array
-    inclination: Array
+    nci: Float[Array, " step"]
+    inclination: Float[Array, " step"]
     expected: float
 
 
-def mean_square(error: Array) -> Array:
-    """Σ = 1/M Σᵢ eᵢ eᵢᵀ over the runs at each step `(step, n, n)`, of errors `(run, step, n)`."""
+def mean_square(error: Float[Array, "run step n"]) -> Float[Array, "step n n"]:
+    """Σ = 1/M Σᵢ eᵢ eᵢᵀ over the runs at each step."""
     return np.einsum("rki,rkj->kij", error, error, optimize=True) / len(error)
 
 
-def log_ratios(error: Array, nees: Array, square: Array) -> Array:
-    """10 log₁₀ ρ, ρ = eᵀP⁻¹e / eᵀΣ⁻¹e of each run and step `(run, step)`, dB.
+def log_ratios(
+    error: Float[Array, "run step n"],
+    nees: Float[Array, "run step"],
+    square: Float[Array, "step n n"],
+) -> Float[Array, "run step"]:
+    """10 log₁₀ ρ, ρ = eᵀP⁻¹e / eᵀΣ⁻¹e of each run and step, dB.
 
     Args:
-        error: x ⊖ x̂ `(run, step, n)`.
-        nees: eᵀP⁻¹e `(run, step)`.
-        square: Σ `(step, n, n)`, `mean_square` of all runs. Where it is singular (fewer runs than
+        error: x ⊖ x̂.
+        nees: eᵀP⁻¹e.
+        square: Σ, `mean_square` of all runs. Where it is singular (fewer runs than
             coordinates) the ratio is NaN.
     """
     white = solve_lower(cholesky(square), np.moveaxis(error, 0, -1))  # (step, n, run)
@@ -51,11 +55,13 @@ def log_ratios(error: Array, nees: Array, square: Array) -> Array:
         return 10 * np.log10(nees / ideal)
 
 
-def credibility(batches: Callable[[], Iterable[tuple[Array, Array]]]) -> Credibility:
+def credibility(
+    batches: Callable[[], Iterable[tuple[Float[Array, "run step n"], Float[Array, "run step"]]]],
+) -> Credibility:
     """NCI and inclination at each step, with one batch of runs in memory at a time.
 
     Args:
-        batches: each call gives x ⊖ x̂ `(run, step, n)` and NEES `(run, step)` of the runs that
+        batches: each call gives x ⊖ x̂ and NEES of the runs that
             did not diverge, batch by batch. It is called twice, first for Σ.
 
     Returns:

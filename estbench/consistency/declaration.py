@@ -5,14 +5,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.consistency.fields import Record, Recorded
 from estbench.consistency.intervals import Interval
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask
 
-Value = Interval | float | tuple[Interval, ...] | Array
-"""An interval or a number; per coordinate, a tuple of intervals or an array `(n,)`."""
+Value = Interval | float | tuple[Interval, ...] | Float[Array, " n"]
+"""An interval or a number; per coordinate, a tuple of intervals or an array."""
 Place = Literal["run", "compare", "innovations", "board", "board_csv", "report"]
 """A table: of `run`, two of `compare`, the leaderboard, its CSV file, the report."""
 Detail = Literal["full", "brief"]
@@ -37,16 +36,16 @@ class Sample:
     steps: int
 
     @property
-    def good(self) -> NDArray[np.bool_]:
-        """Which runs did not diverge `(run,)`."""
+    def good(self) -> Bool[Mask, " run"]:
+        """Which runs did not diverge."""
         return ~self.record["diverged"].astype(bool)
 
-    def converged(self, name: str) -> Array:
-        """A variable over the runs that did not diverge `(good run, ...)`."""
+    def converged(self, name: str) -> Float[Array, "good ..."]:
+        """A variable over the runs that did not diverge."""
         return self.record[name][self.good]
 
-    def every(self, name: str) -> Array:
-        """A variable over all runs `(run, ...)`, infinite where it is not finite."""
+    def every(self, name: str) -> Float[Array, "run ..."]:
+        """A variable over all runs, infinite where it is not finite."""
         values = self.record[name]
         return np.where(np.isfinite(values), values, np.inf)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estbench.consistency.coverage import inside
 from estbench.inference.traces import Traces
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask, Shaped
 
 Record = dict[str, NDArray[Any]]
 """Variables of one estimator by name."""
@@ -51,14 +51,14 @@ class BatchTraces:
     """The traces of one batch, with the steps and the runs that count in averages.
 
     Attributes:
-        traces: time-major, `(K + 1, run, ...)`.
-        settled: instants that count in averages over time `(K + 1,)`.
-        diverged: runs that count in no sum over runs `(run,)`.
+        traces: time-major, `(time, run, ...)`.
+        settled: instants that count in averages over time.
+        diverged: runs that count in no sum over runs.
     """
 
     traces: Traces
-    settled: NDArray[np.bool_]
-    diverged: NDArray[np.bool_]
+    settled: Bool[Mask, " time"]
+    diverged: Bool[Mask, " run"]
 
     @property
     def n(self) -> int:
@@ -71,47 +71,49 @@ class BatchTraces:
         return len(self.diverged)
 
     @cached_property
-    def square(self) -> Array:
-        """Squared error `(K + 1, run, n)`, (unit)²."""
+    def square(self) -> Float[Array, "time run n"]:
+        """Squared error, (unit)²."""
         return self.traces.error**2
 
     @cached_property
-    def variance(self) -> Array:
-        """Variance that the filter reports `(K + 1, run, n)`, (unit)²."""
+    def variance(self) -> Float[Array, "time run n"]:
+        """Variance that the filter reports, (unit)²."""
         return self.traces.std**2
 
     @cached_property
-    def inside(self) -> Array:
-        """Share of the settled steps with an error of at most 1, 2, 3σ `(run, n, 3)`."""
+    def inside(self) -> Float[Array, "run n 3"]:
+        """Share of the settled steps with an error of at most 1, 2, 3σ."""
         return inside(self.traces.error[self.settled], self.traces.std[self.settled])
 
     @cached_property
-    def nis(self) -> Array:
-        """NIS at every instant `(K + 1, run)`, not divided by m; NaN where nothing arrived."""
+    def nis(self) -> Float[Array, "time run"]:
+        """NIS at every instant, not divided by m; NaN where nothing arrived."""
         return np.concatenate([np.full((1, self.runs), np.nan), self.traces.nis])
 
     @cached_property
-    def dof(self) -> NDArray[np.int64]:
-        """Dimension m of the innovation at every instant `(K + 1, run)`."""
+    def dof(self) -> Int[Ints, "time run"]:
+        """Dimension m of the innovation at every instant."""
         return np.concatenate([np.zeros((1, self.runs), np.int64), self.traces.dof])
 
-    def average(self, values: Array) -> Array:
-        """Mean over the settled instants of values `(K + 1, run, ...)`: `(run, ...)`.
+    def average(self, values: Float[Array, "time run *any"]) -> Float[Array, " run *any"]:
+        """Mean over the settled instants.
 
         A run whose values are NaN from its failure on has the average NaN.
         """
         return values[self.settled].mean(axis=0)
 
-    def total(self, values: NDArray[Any]) -> Array:
-        """Sum over the runs that did not diverge `(1, K + 1, ...)` of `(K + 1, run, ...)`."""
+    def total(
+        self, values: Shaped[NDArray[Any], "time run *any"]
+    ) -> Shaped[NDArray[Any], "1 time *any"]:
+        """Sum over the runs that did not diverge."""
         return values[:, ~self.diverged].sum(axis=1)[None]
 
-    def nis_total(self) -> Array:
-        """`total` of NIS `(1, K + 1)`, where nothing arrived 0."""
+    def nis_total(self) -> Float[Array, "1 time"]:
+        """`total` of NIS, where nothing arrived 0."""
         return np.nansum(self.nis[:, ~self.diverged], axis=1)[None]
 
-    def normalized_nis(self) -> Array:
-        """Mean over the settled updates of NIS/m `(run,)`; NaN without an update."""
+    def normalized_nis(self) -> Float[Array, " run"]:
+        """Mean over the settled updates of NIS/m; NaN without an update."""
         traces, late = self.traces, self.settled[1:]
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.where(traces.dof > 0, traces.nis / np.maximum(traces.dof, 1), 0.0)[late]
@@ -119,14 +121,14 @@ class BatchTraces:
             return np.where(updates > 0, ratio.sum(axis=0) / np.maximum(updates, 1), np.nan)
 
 
-def run_major(name: str) -> Callable[[BatchTraces], NDArray[Any]]:
-    """Reads a trace `(K + 1, run, ...)` as it is stored, `(run, K + 1, ...)`.
+def run_major(name: str) -> Callable[[BatchTraces], Shaped[NDArray[Any], "run time ..."]]:
+    """Reads a trace `(time, run, ...)` as it is stored, `(run, time, ...)`.
 
     Args:
         name: attribute of `BatchTraces`, else of `Traces`.
     """
 
-    def of(batch: BatchTraces) -> NDArray[Any]:
+    def of(batch: BatchTraces) -> Shaped[NDArray[Any], "run time ..."]:
         owner = batch if hasattr(batch, name) else batch.traces
         return np.swapaxes(getattr(owner, name), 0, 1)
 

@@ -6,11 +6,13 @@ per run. Every quantile of Student's t and of the normal distribution in the pac
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Shaped
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,14 @@ NONE = Interval(np.nan, np.nan, np.nan)
 """What no values give."""
 
 
-def student_quantile(level: float, dof: float | Array) -> Array:
+def student_quantile(
+    level: float, dof: float | Float[Array, "*any"]
+) -> float | Float[Array, "*any"]:
     """Two-sided quantile of Student's t: |t| is below it with probability `level`.
 
     Args:
         level: confidence.
-        dof: degrees of freedom `(...)`, not necessarily whole.
+        dof: degrees of freedom, not necessarily whole.
     """
     return stats.t.ppf(0.5 + level / 2, dof)
 
@@ -71,13 +75,13 @@ def normal_quantile(level: float) -> float:
     return float(stats.norm.ppf(0.5 + level / 2))
 
 
-def mean_interval(values: Array, level: float = 0.95) -> Interval:
+def mean_interval(values: Float[Array, " run"], level: float = 0.95) -> Interval:
     """Student's t interval of the mean of independent values: m ± t(N - 1) s/√N.
 
     One value gives no interval (-inf, inf); none gives NaN.
 
     Args:
-        values: one per run `(run,)`; values that are not finite are left out. Average the steps of
+        values: one per run; values that are not finite are left out. Average the steps of
             each run first: counted as independent they would make the interval far too narrow.
         level: confidence.
     """
@@ -92,13 +96,13 @@ def mean_interval(values: Array, level: float = 0.95) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def positive_mean_interval(values: Array, level: float = 0.95) -> Interval:
+def positive_mean_interval(values: Float[Array, " run"], level: float = 0.95) -> Interval:
     """Interval of the mean of independent positive values, by `positive_mean_bounds`.
 
     One value gives no interval (-inf, inf); none gives NaN.
 
     Args:
-        values: one per run `(run,)`; values that are not finite are left out.
+        values: one per run; values that are not finite are left out.
         level: confidence.
     """
     values = values[np.isfinite(values)]
@@ -110,8 +114,11 @@ def positive_mean_interval(values: Array, level: float = 0.95) -> Interval:
 
 
 def positive_mean_bounds(
-    mean: float | Array, variance: float | Array, count: float | Array, level: float = 0.95
-) -> tuple[Array, Array]:
+    mean: float | Float[Array, "*any"],
+    variance: float | Float[Array, "*any"],
+    count: float | Shaped[NDArray[Any], "*#any"],
+    level: float = 0.95,
+) -> tuple[float | Float[Array, "*any"], Float[Array, "*any"]]:
     """Ends of the interval of the mean of positive values, from their moments.
 
     NEES/n and the mean squared error of each run are averages of squares, skewed to the right.
@@ -127,13 +134,13 @@ def positive_mean_bounds(
     t interval.
 
     Args:
-        mean: m `(...)`, positive.
-        variance: of the values, with N - 1 in the denominator `(...)`.
-        count: N `(...)`, at least 2.
+        mean: m, positive.
+        variance: of the values, with N - 1 in the denominator.
+        count: N, at least 2.
         level: confidence.
 
     Returns:
-        Lower and upper end `(...)`; the upper one is infinite where 1 - v <= q √v.
+        Lower and upper end; the upper one is infinite where 1 - v <= q √v.
     """
     squared = variance / mean**2
     v = squared / count / 9
@@ -144,13 +151,13 @@ def positive_mean_bounds(
 
 
 def normal_mean_square_bounds(
-    total: Array, count: Array, level: float = 0.95
-) -> tuple[Array, Array]:
+    total: Float[Array, "*any"], count: Shaped[NDArray[Any], "*#any"], level: float = 0.95
+) -> tuple[Float[Array, "*any"], Float[Array, "*any"]]:
     """Ends of the interval of the mean square of normal values of mean 0: Σe²/χ²(N).
 
     Args:
-        total: sum of the N squares `(...)`.
-        count: N `(...)`.
+        total: sum of the N squares.
+        count: N.
         level: confidence.
     """
     low, high = (total / stats.chi2.ppf(0.5 + s * level / 2, count) for s in (1, -1))
@@ -174,7 +181,7 @@ def wilson(count: int, total: int, level: float = 0.95) -> Interval:
 
 
 def bootstrap(
-    values: Array,
+    values: Float[Array, " run"],
     statistic: Callable[..., Array] = np.mean,
     level: float = 0.95,
     resamples: int = 4999,
@@ -187,7 +194,7 @@ def bootstrap(
     (-inf, inf); none gives NaN.
 
     Args:
-        values: one per run `(run,)`; values that are not finite are left out.
+        values: one per run; values that are not finite are left out.
         statistic: takes an array and `axis`.
         level: confidence.
         resamples: count of resamples.
@@ -208,14 +215,14 @@ def bootstrap(
     return Interval(value, float(found.low), float(found.high))
 
 
-def trimmed_mean(values: Array, share: float = 0.1, level: float = 0.95) -> Interval:
+def trimmed_mean(values: Float[Array, " run"], share: float = 0.1, level: float = 0.95) -> Interval:
     """Mean without the largest and smallest `share` of the values (Tukey & McLaughlin 1963).
 
     Student's t with h - 1 degrees of freedom, h = N - 2 ⌊share N⌋ values kept, and the standard
     error √(SSD_w / (h (h - 1))), SSD_w the sum of squared deviations of the Winsorized values.
 
     Args:
-        values: one per run `(run,)`. A value that is not finite marks a diverged run and counts as
+        values: one per run. A value that is not finite marks a diverged run and counts as
             the largest: with more of them than are trimmed the trimmed mean is infinite.
         share: left out at each end, below 0.5.
         level: confidence.
@@ -235,14 +242,14 @@ def trimmed_mean(values: Array, share: float = 0.1, level: float = 0.95) -> Inte
     return Interval(mean, mean - half, mean + half)
 
 
-def median(values: Array, level: float = 0.95) -> Interval:
+def median(values: Float[Array, " run"], level: float = 0.95) -> Interval:
     """Median with the exact interval from order statistics, whatever the distribution.
 
     It covers with at least `level` (Conover 1999, sec. 3.2). Where the values are too few for that
     (fewer than 6 at 95%) it is (-inf, inf). No values give NaN.
 
     Args:
-        values: one per run `(run,)`. A value that is not finite marks a diverged run and counts as
+        values: one per run. A value that is not finite marks a diverged run and counts as
             the largest.
         level: confidence.
     """
@@ -254,14 +261,14 @@ def median(values: Array, level: float = 0.95) -> Interval:
     return Interval(float(np.median(ordered)), float(low), float(high))
 
 
-def runs_needed(values: Array, half_width: float, level: float = 0.95) -> int | None:
+def runs_needed(values: Float[Array, " run"], half_width: float, level: float = 0.95) -> int | None:
     """Runs for which Student's t interval of the mean has at most this half-width.
 
     The least N with t(N - 1) s/√N <= half_width, s from the values given; from few runs the answer
     is as uncertain as their s. None where fewer than two values are finite.
 
     Args:
-        values: one per run `(run,)`, of a pilot experiment.
+        values: one per run, of a pilot experiment.
         half_width: wanted, in the values' unit, positive.
         level: confidence.
     """

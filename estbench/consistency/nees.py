@@ -5,13 +5,14 @@ and m degrees of freedom (Bar-Shalom, Li & Kirubarajan 2001, sec. 5.4; source 00
 """
 
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from estbench.consistency.intervals import Interval
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Float, Mask, Shaped
 
 
 class Verdict(StrEnum):
@@ -24,15 +25,19 @@ class Verdict(StrEnum):
     UNDECIDED = "undecided"
 
 
-def chi_square_band(dof: float | Array, runs: float | Array, level: float = 0.95) -> tuple:
+def chi_square_band(
+    dof: float | Shaped[NDArray[Any], "*#any"],
+    runs: float | Shaped[NDArray[Any], "*#any"],
+    level: float = 0.95,
+) -> tuple:
     """Bounds between which the mean of `runs` independent chi-square(dof) values lies.
 
     [χ²((1-level)/2; N dof)/N, χ²((1+level)/2; N dof)/N] (Bar-Shalom et al. 2001, eq. 5.4.2-7).
     For NEES or NIS averaged over the runs **at one step**, where runs are independent.
 
     Args:
-        dof: degrees of freedom of one value `(...)`.
-        runs: N `(...)`.
+        dof: degrees of freedom of one value.
+        runs: N.
         level: probability.
 
     Returns:
@@ -78,11 +83,13 @@ def judge(
     return Verdict.CONSISTENT
 
 
-def diverged_runs(normalized: Array, threshold: float, window: int) -> NDArray[np.bool_]:
-    """Runs whose NEES/n is above a threshold for `window` consecutive steps `(run,)`.
+def diverged_runs(
+    normalized: Float[Array, "step run"], threshold: float, window: int
+) -> Bool[Mask, " run"]:
+    """Runs whose NEES/n is above a threshold for `window` consecutive steps.
 
     Args:
-        normalized: NEES/n `(step, run)`.
+        normalized: NEES/n.
         threshold: of NEES/n.
         window: steps, at least 1; more than there are count as all.
     """

@@ -22,7 +22,7 @@ from estbench.consistency.statistics import COORDINATE, STATISTICS
 from estbench.inference.lags import LAGS
 from estbench.inference.traces import Traces
 from estbench.scenario.schema import ConsistencySection
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 SUMMARY: dict[str, Recorded] = {
     **{name: variable for s in STATISTICS for name, variable in s.variables.items()},
@@ -130,12 +130,14 @@ def _traces(keep: str) -> dict[str, Recorded]:
     return {"summary": {}, "diagonal": DIAGONAL, "full": DIAGONAL | FULL}[keep]
 
 
-def reduce(traces: Traces, times: Array, section: ConsistencySection, keep: str) -> Record:
+def reduce(
+    traces: Traces, times: Float[Array, " time"], section: ConsistencySection, keep: str
+) -> Record:
     """The record of one batch.
 
     Args:
-        traces: time-major, `(K + 1, run, ...)`; with all that `keep` asks for.
-        times: `(K + 1,)` s; index 0 is the prior and is left out of averages.
+        traces: with all that `keep` asks for.
+        times: s; index 0 is the prior and is left out of averages.
         section: burn-in and the definition of divergence.
         keep: `summary`, `diagonal` or `full`.
     """

@@ -20,7 +20,7 @@ from estbench.consistency.intervals import (
     wilson,
 )
 from estbench.consistency.nees import Verdict
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 COORDINATE = (*RUN, "coordinate")
 
@@ -205,8 +205,8 @@ class Summary:
     lag_one: Interval
     diverged_interval: Interval
     rmse: tuple[Interval, ...]
-    rmse_median: Array
-    std: Array
+    rmse_median: Float[Array, " n"]
+    std: Float[Array, " n"]
     cost: float
     failures: tuple[Failure, ...]
     late: int = 0

@@ -12,11 +12,15 @@ from estbench.consistency.nees import judge
 from estbench.consistency.statistics import ANEES, DIVERGED, Failure, Summary
 from estbench.estimators.beliefs import Fault
 from estbench.scenario.schema import ConsistencySection
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
 def summarize(
-    label: str, record: Record, runs: Sequence[int], times: Array, section: ConsistencySection
+    label: str,
+    record: Record,
+    runs: Sequence[int],
+    times: Float[Array, " time"],
+    section: ConsistencySection,
 ) -> Summary:
     """The summary of one estimator.
 
@@ -24,7 +28,7 @@ def summarize(
         label: the estimator's label.
         record: as `records.merge` gives it.
         runs: numbers of the runs in the record.
-        times: `(K + 1,)` s.
+        times: of the instants and the start, s.
         section: level and tolerance of the verdict.
     """
     sample = Sample(record, section.level, len(times) - 1)

@@ -5,19 +5,19 @@ Those of a filter that does not use all information, as with too small a Q, are 
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from estbench.consistency.intervals import Interval, mean_interval, wilson
 from estbench.inference.lags import correlation
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int, Ints
 
 
-def portmanteau(products: Array, terms: NDArray[Any]) -> Array:
-    """Ljung & Box's statistic `(...)`, chi-square with `lag` degrees of freedom if white.
+def portmanteau(
+    products: Float[Array, "*any lag"], terms: Int[Ints, "*any lag"]
+) -> float | Float[Array, "*any"]:
+    """Ljung & Box's statistic, chi-square with `lag` degrees of freedom if white.
 
         Q = (N + 2)/N Σₗ Nₗ ρₗ²,    ρₗ = (Sₗ/Nₗ) / (S₀/N₀),    l = 1 ... h
 
@@ -29,8 +29,8 @@ def portmanteau(products: Array, terms: NDArray[Any]) -> Array:
     innovations, and their mean is 0 by hypothesis.
 
     Args:
-        products: Sₗ `(..., h + 1)`, lag 0 first.
-        terms: Nₗ, the same shape; a lag without terms is left out.
+        products: Sₗ, lag 0 first.
+        terms: Nₗ; a lag without terms is left out.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         rho = np.where(terms > 0, correlation(products, terms), 0.0)
@@ -55,12 +55,14 @@ class Whiteness:
     p: float
 
 
-def whiteness(products: Array, terms: NDArray[Any], level: float = 0.95) -> Whiteness | None:
+def whiteness(
+    products: Float[Array, "run lag"], terms: Int[Ints, "run lag"], level: float = 0.95
+) -> Whiteness | None:
     """Whiteness of the innovations, or None where no run has two of them.
 
     Args:
-        products: sums of ν̃ₖ·ν̃ₖ₋ₗ of each run `(run, h + 1)`, lag 0 first.
-        terms: count of the scalar products in each sum, the same shape.
+        products: sums of ν̃ₖ·ν̃ₖ₋ₗ of each run, lag 0 first.
+        terms: count of the scalar products in each sum.
         level: confidence; each run is tested at 1 - level.
     """
     used = np.isfinite(products).all(axis=-1) & (terms[:, 1:] > 0).any(axis=-1)

@@ -21,7 +21,7 @@ from estbench.sensors import channel as sensors
 from estbench.sensors import datasheet, schedules
 from estbench.sensors.channel import Channel
 from estbench.sensors.timing import Instant, MjcfTiming
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 
@@ -131,9 +131,9 @@ def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str])
 
 
 def initial(
-    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Array
-) -> tuple[Array, Array]:
-    """x̂₀ `(nx,)` and P₀ `(n, n)`.
+    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Float[Array, " nx"]
+) -> tuple[Float[Array, " nx"], Float[Array, "n n"]]:
+    """x̂₀ and P₀.
 
     Raises:
         CovarianceError: P₀ is not positive definite.
@@ -204,8 +204,8 @@ def believed_channels(
 
 def _believed_noise(
     channel: Channel, belief: BelievedChannelSection, scale: float, duration: float
-) -> tuple[Array, Scale | None]:
-    """R `(m, m)` of a channel as the filter believes it, and its scale over time or None.
+) -> tuple[Float[Array, "m m"], Scale | None]:
+    """R of a channel as the filter believes it, and its scale over time or None.
 
     Raises:
         ScenarioError: a constant R and a schedule of full covariances are both given.

@@ -26,7 +26,7 @@ from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
 from estbench.sensors.timing import Instant, Schedule
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.simulation import controllers
 from estbench.simulation.truth import Simulator
 from estbench.spaces.manifold import Manifold
@@ -44,7 +44,7 @@ class Setup:
         channels: the true sensors.
         instants: the event loop's schedule.
         disturbance: the true process noise; the filter's is `filter_disturbance`.
-        mean, cov: x̂₀ `(nx,)` and P₀ `(n, n)`.
+        mean, cov: x̂₀ and P₀.
         notices: assumptions where the scenario says nothing.
     """
 
@@ -56,8 +56,8 @@ class Setup:
     instants: tuple[Instant, ...]
     disturbance: Disturbance
     filter_disturbance: Disturbance
-    mean: Array
-    cov: Array
+    mean: Float[Array, " nx"]
+    cov: Float[Array, "n n"]
     notices: tuple[str, ...]
 
     @property
@@ -66,8 +66,8 @@ class Setup:
         return self.plant.space
 
     @property
-    def times(self) -> Array:
-        """Start and end of every instant `(K + 1,)`, s."""
+    def times(self) -> Float[Array, " time"]:
+        """The start, and the end of every instant, s."""
         return np.array([0.0] + [i.end for i in self.instants])
 
     def model(self, nthread: int = 1, robot: mujoco.MjModel | None = None) -> MujocoModel:
@@ -133,8 +133,8 @@ class Setup:
         """How the estimator of that label starts."""
         return scenarios.start(self.scenario, label)
 
-    def prior(self, label: str) -> tuple[Array, Array]:
-        """x̂₀ `(nx,)` and P₀ `(n, n)` of the estimator of that label."""
+    def prior(self, label: str) -> tuple[Float[Array, " nx"], Float[Array, "n n"]]:
+        """x̂₀ and P₀ of the estimator of that label."""
         start, nq, nv = self.start(label), self.plant.model.nq, self.plant.model.nv
         mean, cov = starting.displaced(self.space, self.mean, self.cov, start.offset, start.inflate)
         if start.method == "static":

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.beliefs import start
@@ -20,7 +19,7 @@ from estbench.inference.innovations import Innovations
 from estbench.inference.traces import Recorder, Traces
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Keys, UInt
 from estbench.spaces.linalg import quiet
 from estbench.spaces.manifold import Manifold
 
@@ -29,26 +28,28 @@ class Source(Protocol):
     """Where truth, control and measurements come from."""
 
     events: Sequence[Event]
-    x0: Array
+    x0: Float[Array, "run nx"]
 
-    def control(self, k: int, estimate: Array) -> Array:
-        """U `(run, nu)` held up to the end of the k-th event."""
+    def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
+        """The control, held up to the end of the k-th event."""
         ...
 
-    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
-        """True state `(run, nx)` at the end of the k-th event and what arrives then."""
+    def advance(
+        self, k: int, u: Float[Array, "run nu"]
+    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
+        """True state at the end of the k-th event and what arrives then."""
         ...
 
 
 def run_filter(
     estimator: Estimator,
     space: Manifold,
-    prior: tuple[Array, Array],
+    prior: tuple[Float[Array, "run nx"], Float[Array, "run n n"]],
     source: Source,
     channels: Mapping[str, Manifold],
     *,
     delays: Delays | None = None,
-    keys: NDArray[np.uint64] | None = None,
+    keys: UInt[Keys, " run"] | None = None,
     keep_cov: bool = False,
     keep_innovations: bool = False,
     stop: Callable[[], bool] = lambda: False,
@@ -65,7 +66,7 @@ def run_filter(
     Args:
         estimator: any object of the protocol.
         space: the state space of truth and estimate.
-        prior: x̂₀ `(run, nx)` and P₀ `(run, n, n)`.
+        prior: x̂₀ and P₀.
         source: truth, controls, readings.
         channels: channel -> the manifold of its readings, in the measurement's order.
         delays: what to do about late readings.

@@ -18,7 +18,7 @@ from estbench.inference.innovations import InnovationLog, check
 from estbench.inference.run_subset import ALL, RunIndex, put, some, take, within
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Float, Ints, Mask
 from estbench.spaces.selection import select
 
 
@@ -87,7 +87,7 @@ class Fusion:
         self._checked: set[tuple[str, ...]] = set()
         self.late = np.zeros(log.rows, np.int64)
 
-    def restart(self, rows: Mask, fresh: Any) -> None:
+    def restart(self, rows: Bool[Mask, " row"], fresh: Any) -> None:
         """Rows begin anew: what they had is forgotten.
 
         Args:
@@ -102,7 +102,7 @@ class Fusion:
         if self._memory:
             self._began.append((rows, fresh))
 
-    def step(self, event: Event, u: Array, arrived: Sequence[Delivery]) -> int:
+    def step(self, event: Event, u: Float[Array, "row nu"], arrived: Sequence[Delivery]) -> int:
         """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there.
 
         Returns:

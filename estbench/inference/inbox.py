@@ -11,20 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.sensors.sampling import Delivery
-from estbench.shapes import Array, Mask
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.manifold import Manifold
 
 
 @dataclass(frozen=True, eq=False)
 class JointMeasurement:
-    """One joint measurement: channels in their order, y `(run, ny)`, mask `(run, m)` or None."""
+    """One joint measurement: channels in their order; without a mask everything has arrived."""
 
     channels: tuple[str, ...]
-    y: Array
-    mask: Mask | None
+    y: Float[Array, "run ny"]
+    mask: Bool[Mask, "run m"] | None
 
 
-Layer = dict[str, tuple[Array, Mask | None]]
+Layer = dict[str, tuple[Float[Array, "run ny"], Bool[Mask, " run"] | None]]
+"""Channel -> its readings, and the runs in which one has arrived; None for all."""
 
 
 class Inbox:

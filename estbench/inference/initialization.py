@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Fault, Gaussian, start
 from estbench.estimators.protocol import Estimator, Innovation, Measurement
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
 from estbench.smoothers.map import map_estimate
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
@@ -27,14 +26,18 @@ PerName = float | Sequence[float] | dict[str, float]
 
 
 def displaced(
-    space: Manifold, mean: Array, cov: Array, offset: PerName, inflate: PerName
-) -> tuple[Array, Array]:
+    space: Manifold,
+    mean: Float[Array, " nx"],
+    cov: Float[Array, "n n"],
+    offset: PerName,
+    inflate: PerName,
+) -> tuple[Float[Array, " nx"], Float[Array, "n n"]]:
     """The filter's x̂₀ ⊞ offset and D P₀ D, D diagonal: a wrong start, an inflated covariance.
 
     Args:
         space: the state's manifold.
-        mean: x̂₀ `(nx,)`.
-        cov: P₀ `(n, n)`.
+        mean: x̂₀.
+        cov: P₀.
         offset: per coordinate, in its unit.
         inflate: factor on each coordinate's standard deviation.
 
@@ -52,13 +55,17 @@ def displaced(
 
 
 def at_rest(
-    mean: Array, cov: Array, values: slice, coordinates: slice, std: float
-) -> tuple[Array, Array]:
+    mean: Float[Array, " nx"],
+    cov: Float[Array, "n n"],
+    values: slice,
+    coordinates: slice,
+    std: float,
+) -> tuple[Float[Array, " nx"], Float[Array, "n n"]]:
     """The prior of a robot that does not move: velocities zero up to `std`, the rest as it was.
 
     Args:
-        mean: x̂₀ `(nx,)`.
-        cov: P₀ `(n, n)`.
+        mean: x̂₀.
+        cov: P₀.
         values: where the velocities stand in the state.
         coordinates: where they stand in the tangent.
         std: per velocity, in its unit.
@@ -86,14 +93,14 @@ class Starting:
 
     belief: Any
     prior: Gaussian | None
-    keys: NDArray[np.uint64] | None = None
+    keys: UInt[Keys, " run"] | None = None
     times: tuple[float, ...] = (0.0,)
-    controls: tuple[Array, ...] = ()
+    controls: tuple[Float[Array, "run nu"], ...] = ()
     readings: tuple[tuple[Measurement, ...], ...] = ((),)
 
     @property
-    def fault(self) -> NDArray[np.uint8]:
-        """`Fault` `(run,)`."""
+    def fault(self) -> UInt[Faults, " run"]:
+        """`Fault` of each run."""
         return self.belief.fault
 
 
@@ -123,12 +130,17 @@ class WarmStart:
                 "fits the whole run anyway; use start.method = 'prior' with start.inflate"
             )
 
-    def init(self, mean: Array, cov: Array, keys: NDArray[np.uint64] | None = None) -> Starting:
-        """Wait with mean `(run, nx)` and covariance `(run, n, n)`."""
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Starting:
+        """Wait with this mean and covariance."""
         prior = Gaussian(mean, cov, np.zeros(len(mean), np.uint8))
         return Starting(start(self.estimator, mean, cov, keys), prior, keys)
 
-    def predict(self, belief: Starting, u: Array, t: float, dt: float) -> Starting:
+    def predict(self, belief: Starting, u: Float[Array, "run nu"], t: float, dt: float) -> Starting:
         """The estimator's prediction; it starts first when the window has passed."""
         if belief.prior is not None and t >= self.window - 1e-9:
             belief = Starting(self._fitted(belief, belief.prior), None)
@@ -145,11 +157,11 @@ class WarmStart:
     def update(
         self,
         belief: Starting,
-        y: Array,
-        u: Array,
+        y: Float[Array, "run ny"],
+        u: Float[Array, "run nu"],
         t: float,
         channels: Channels = None,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Starting, Innovation]:
         """The estimator's update; until it has started the reading is put by."""
         if belief.prior is None:
@@ -164,12 +176,12 @@ class WarmStart:
         )  # fmt: skip
         return replace(belief, readings=readings), nothing
 
-    def mean(self, belief: Starting) -> Array:
-        """x̂ `(run, nx)`."""
+    def mean(self, belief: Starting) -> Float[Array, "run nx"]:
+        """The estimate x̂."""
         return self.estimator.mean(belief.belief)
 
-    def cov(self, belief: Starting) -> Array:
-        """P `(run, n, n)`."""
+    def cov(self, belief: Starting) -> Float[Array, "run n n"]:
+        """The covariance P."""
         return self.estimator.cov(belief.belief)
 
     def _fitted(self, belief: Starting, prior: Gaussian) -> Any:

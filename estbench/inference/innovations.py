@@ -9,12 +9,12 @@ from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators.protocol import Innovation
 from estbench.inference.lags import Lags
 from estbench.inference.run_subset import RunIndex
-from estbench.shapes import Mask
+from estbench.shapes import Bool, Mask
 from estbench.spaces.manifold import Manifold
 
 
 def readings(spaces: Mapping[str, Manifold]) -> tuple[str, ...]:
-    """Name of each component of the measurement `(m,)`: the channel's, with the coordinate's."""
+    """Name of each component of the measurement: the channel's, with the coordinate's."""
     return tuple(
         channel if space.n == 1 else f"{channel}.{name}"
         for channel, space in spaces.items()
@@ -73,7 +73,7 @@ class InnovationLog(Protocol):
         layer: int,
         channels: Sequence[str],
         innovation: Innovation,
-        mask: Mask | None,
+        mask: Bool[Mask, "run m"] | None,
         rows: RunIndex,
     ) -> None:
         """Some rows were updated; see `Innovations.put`."""
@@ -117,7 +117,7 @@ class Innovations:
         layer: int,
         channels: Sequence[str],
         innovation: Innovation,
-        mask: Mask | None,
+        mask: Bool[Mask, "run m"] | None,
         rows: RunIndex,
     ) -> None:
         """Note an update.
@@ -128,7 +128,7 @@ class Innovations:
                 S the last.
             channels: that were fused.
             innovation: of some runs.
-            mask: `(run, m)` of those runs, True where a component arrived; None means everywhere.
+            mask: of those runs, True where a component arrived; None means everywhere.
             rows: which runs they are.
         """
         self._nis[k, rows] += innovation.nis
@@ -148,7 +148,7 @@ class Innovations:
         k: int,
         channels: Sequence[str],
         innovation: Innovation,
-        mask: Mask | None,
+        mask: Bool[Mask, "run m"] | None,
         rows: RunIndex,
     ) -> None:
         """Write ν and S where they belong."""

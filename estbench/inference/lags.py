@@ -1,23 +1,23 @@
 """Lag products of whitened innovations: what a white sequence has none of."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.inference.run_subset import ALL, RunIndex
-from estbench.shapes import Array, Mask
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
-Noted = tuple[Sequence[str], Array, Mask | None]
-"""Channels, white `(run, m)` and mask of one update."""
+Noted = tuple[Sequence[str], Float[Array, "run m"], Bool[Mask, "run m"] | None]
+"""Channels, ν̃ and mask of one update."""
 
 LAGS = 10
 """How many lags, in arrivals."""
 
 
-def correlation(sums: Array, terms: NDArray[Any]) -> Array:
-    """Correlation of each lag from 0, `(..., LAGS + 1)`; NaN for a lag without terms.
+def correlation(
+    sums: Float[Array, "*any lag"], terms: Int[Ints, "*any lag"]
+) -> Float[Array, "*any lag"]:
+    """Correlation of each lag from 0; NaN for a lag without terms.
 
         ρₗ = (Sₗ/Nₗ) / (S₀/N₀)
 
@@ -52,8 +52,8 @@ class Lags:
         instant: int,
         layer: int,
         channels: Sequence[str],
-        white: Array,
-        mask: Mask | None = None,
+        white: Float[Array, "run m"],
+        mask: Bool[Mask, "run m"] | None = None,
         rows: RunIndex = ALL,
     ) -> None:
         """Note an innovation; a replay of the same instant replaces it.
@@ -62,8 +62,8 @@ class Lags:
             instant: at which the reading belongs.
             layer: of the instant's updates.
             channels: that it consists of.
-            white: ν̃ `(run, m)`, zero where nothing arrived.
-            mask: `(run, m)`, True where a component arrived; None means everywhere.
+            white: ν̃, zero where nothing arrived.
+            mask: True where a component arrived; None means everywhere.
             rows: the runs it is of; what was noted of the others stays.
         """
         if not isinstance(rows, slice):
@@ -96,8 +96,8 @@ class Lags:
         start = sum(self._widths[c] for c in channels[: channels.index(name)])
         return slice(start, start + self._widths[name])
 
-    def sums(self) -> tuple[Array, NDArray[np.int64]]:
-        """The sums, and how many products of two numbers are in each, both `(run, LAGS + 1)`."""
+    def sums(self) -> tuple[Float[Array, "run lag"], Int[Ints, "run lag"]]:
+        """The sums of lags 0 to LAGS, and how many products of two numbers are in each."""
         sums = np.zeros((self._runs, LAGS + 1))
         terms = np.zeros((self._runs, LAGS + 1), np.int64)
         for name in self._widths:
@@ -108,8 +108,8 @@ class Lags:
                 terms[:, lag] += np.maximum(count - lag, 0).sum(axis=-1)
         return sums, terms
 
-    def _series(self, name: str) -> tuple[Array, NDArray[np.int64]]:
-        """A channel's arrivals in order `(run, m, arrival)`, zeros after the last, and how many."""
+    def _series(self, name: str) -> tuple[Float[Array, "run m arrival"], Int[Ints, "run m"]]:
+        """A channel's arrivals in order, zeros after the last, and how many."""
         width = self._widths[name]
         whites, masks = [np.empty((0, self._runs, width))], [np.empty((0, self._runs, width), bool)]
         for key in sorted(self._noted):

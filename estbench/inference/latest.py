@@ -6,7 +6,7 @@ import numpy as np
 
 from estbench.estimators.protocol import Innovation
 from estbench.inference.run_subset import RunIndex
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Int, Ints, Mask
 from estbench.spaces.manifold import Manifold
 
 _Update = tuple[int, Sequence[str], Innovation, Mask | None, RunIndex]
@@ -64,7 +64,7 @@ class LatestInnovations:
         layer: int,
         channels: Sequence[str],
         innovation: Innovation,
-        mask: Mask | None,
+        mask: Bool[Mask, "run m"] | None,
         rows: RunIndex,
     ) -> None:
         """Some rows were updated; see `Innovations.put`."""
@@ -106,7 +106,7 @@ class LatestInnovations:
         for k in [k for k in self._fused if k < oldest]:
             del self._fused[k]
 
-    def forget(self, rows: Ints) -> None:
+    def forget(self, rows: Int[Ints, " k"]) -> None:
         """Some rows begin anew."""
         self.innovation[rows], self.nis[rows], self.dof[rows] = 0.0, 0.0, 0
 

@@ -15,7 +15,7 @@ from estbench.inference.inbox import Inbox
 from estbench.inference.latest import LatestInnovations
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
-from estbench.shapes import Array, Ints, Keys, Mask
+from estbench.shapes import Array, Float, Int, Ints, Keys, Mask, UInt
 from estbench.spaces.linalg import quadratic_form, quiet, surely_finite
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.selection import chosen
@@ -83,7 +83,13 @@ class LiveFilter:
         self.innovation = np.zeros((rows, width))
         self.nis, self.dof = np.zeros(rows), np.zeros(rows, np.int64)
 
-    def start(self, rows: Ints, mean: Array, cov: Array, keys: Keys | None = None) -> None:
+    def start(
+        self,
+        rows: Int[Ints, " k"],
+        mean: Float[Array, "row nx"],
+        cov: Float[Array, "row n n"],
+        keys: UInt[Keys, " row"] | None = None,
+    ) -> None:
         """Begin anew in some rows; the others go on.
 
         Args:
@@ -102,7 +108,7 @@ class LiveFilter:
         for cohort in self._cohorts:
             cohort.log.begin()
 
-    def step(self, event: Event, u: Array, arrived: Sequence[Delivery]) -> None:
+    def step(self, event: Event, u: Float[Array, "row nu"], arrived: Sequence[Delivery]) -> None:
         """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there."""
         for cohort in self._cohorts:
             self._guard(lambda cohort=cohort: self._advance(cohort, event, u, arrived))
@@ -123,7 +129,7 @@ class LiveFilter:
         for cohort in self._cohorts:
             self._take(cohort)
 
-    def info(self, truth: Array) -> dict[str, Any]:
+    def info(self, truth: Float[Array, "row nx"]) -> dict[str, Any]:
         """What a step's `info` says of every row, all of it copies, each with a leading row axis.
 
         Args:

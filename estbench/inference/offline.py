@@ -1,25 +1,25 @@
 """An estimator through measurements that are given: no robot, no sensors, no event loop."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from estbench.errors import DimensionError
 from estbench.estimators.beliefs import start
 from estbench.estimators.protocol import Estimator, FilterHistory, Measurement
 from estbench.models.protocol import Model
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Keys, UInt
 from estbench.spaces.linalg import quiet
 
 
 def follow(
     estimator: Estimator,
-    mean: Array,
-    cov: Array,
+    mean: Float[Array, "run nx"],
+    cov: Float[Array, "run n n"],
     y: ArrayLike,
     *,
     u: ArrayLike | None = None,
     times: ArrayLike | None = None,
-    keys: NDArray[np.uint64] | None = None,
+    keys: UInt[Keys, " run"] | None = None,
 ) -> FilterHistory:
     """Predict to each time and update with what was measured then.
 
@@ -28,8 +28,8 @@ def follow(
 
     Args:
         estimator: any object of the protocol, over any model whose measurements are real numbers.
-        mean: x̂₀ `(run, nx)`.
-        cov: P₀ `(run, n, n)`.
+        mean: x̂₀.
+        cov: P₀.
         y: measurements `(K, run, ny)` at times[1], ..., times[K]; NaN where none arrived.
         u: controls `(K, run, nu)`, each held to the next time; default 0.
         times: `(K + 1,)` in s, rising; default 0, 1, ..., K.

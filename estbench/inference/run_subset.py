@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-RunIndex = slice | NDArray[np.intp]
+from estbench.shapes import Bool, Int, Mask
+
+RunIndex = slice | Int[NDArray[np.intp], " _"]
 """Indices of runs, or `ALL`."""
 ALL = slice(None)
 
@@ -14,8 +16,8 @@ DIVISIBLE = {"mean", "cov", "factor", "fault"}
 """Fields that are known to have a leading run axis."""
 
 
-def some(belief: Any, chosen: NDArray[np.bool_]) -> RunIndex:
-    """The rows to work on where those chosen `(run,)` are to change.
+def some(belief: Any, chosen: Bool[Mask, " run"]) -> RunIndex:
+    """The rows to work on where those chosen are to change.
 
     All, where it would be most of them, or where the belief cannot be divided: it may share numbers
     between runs.

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.protocol import Estimator
 from estbench.inference.lags import correlation
-from estbench.shapes import Array
+from estbench.shapes import Array, Bool, Faults, Float, Int, Ints, Mask, UInt
 from estbench.spaces.linalg import quadratic_form
 from estbench.spaces.manifold import Manifold
 
@@ -21,44 +20,44 @@ class Traces:
     """One estimator over some runs, time-major; index 0 is the prior at t = 0.
 
     Attributes:
-        truth: x `(K + 1, run, nx)`.
-        mean: x̂ `(K + 1, run, nx)`.
-        error: x ⊖ x̂ `(K + 1, run, n)`.
-        std: sqrt of P's diagonal `(K + 1, run, n)`.
-        nees: `(K + 1, run)`.
-        nis: `(K, run)`, NaN where nothing arrived.
-        dof: `(K, run)`, how many components arrived.
-        lags: sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations ν̃ `(run, LAGS + 1)`.
-        lag_terms: how many products of two numbers are in each `(run, LAGS + 1)`.
-        fault: `Fault` a run.
+        truth: x.
+        mean: x̂.
+        error: x ⊖ x̂.
+        std: sqrt of P's diagonal.
+        nees: NEES, not divided by n.
+        nis: NIS, not divided by m; NaN where nothing arrived.
+        dof: how many components arrived.
+        lags: sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations ν̃.
+        lag_terms: how many products of two numbers are in each.
+        fault: `Fault` of each run.
         fault_step: index of the instant at which it failed, -1 for none.
         late: per run, readings that came after the window and were not fused.
         cpu_time: seconds of one core spent in predict and update, all runs together.
-        cov: P `(K + 1, run, n, n)` when asked for, else None.
-        innovation: ν `(K + 1, run, m)` when asked for, NaN where nothing was fused.
-        innovation_cov: S of the components fused together `(K + 1, run, m, m)`, likewise.
+        cov: P when asked for, else None.
+        innovation: ν when asked for, NaN where nothing was fused.
+        innovation_cov: S of the components fused together, likewise.
     """
 
-    truth: Array
-    mean: Array
-    error: Array
-    std: Array
-    nees: Array
-    nis: Array
-    dof: NDArray[np.int64]
-    lags: Array
-    lag_terms: NDArray[np.int64]
-    fault: NDArray[np.uint8]
-    fault_step: NDArray[np.int64]
-    late: NDArray[np.int64]
+    truth: Float[Array, "time run nx"]
+    mean: Float[Array, "time run nx"]
+    error: Float[Array, "time run n"]
+    std: Float[Array, "time run n"]
+    nees: Float[Array, "time run"]
+    nis: Float[Array, "time-1 run"]
+    dof: Int[Ints, "time-1 run"]
+    lags: Float[Array, "run lag"]
+    lag_terms: Int[Ints, "run lag"]
+    fault: UInt[Faults, " run"]
+    fault_step: Int[Ints, " run"]
+    late: Int[Ints, " run"]
     cpu_time: float
-    cov: Array | None = None
-    innovation: Array | None = None
-    innovation_cov: Array | None = None
+    cov: Float[Array, "time run n n"] | None = None
+    innovation: Float[Array, "time run m"] | None = None
+    innovation_cov: Float[Array, "time run m m"] | None = None
 
     @property
-    def lag_one(self) -> Array:
-        """Lag-one correlation of the whitened innovations `(run,)`, NaN without two of them."""
+    def lag_one(self) -> Float[Array, " run"]:
+        """Lag-one correlation of the whitened innovations, NaN without two of them."""
         return correlation(self.lags, self.lag_terms)[:, 1]
 
 
@@ -76,7 +75,7 @@ class Recorder:
         self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
         self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
 
-    def add(self, index: int, x: Array, belief: Any) -> None:
+    def add(self, index: int, x: Float[Array, "run nx"], belief: Any) -> None:
         """Compare the belief with the true state at the index-th time."""
         runs, n = self._nees.shape[1], self._space.n
         m, P = self._estimator.mean(belief), self._estimator.cov(belief)
@@ -97,7 +96,13 @@ class Recorder:
             self._mark(index, broken, x, m, P, getattr(belief, "fault", None))
 
     def _mark(
-        self, index: int, broken: Array, x: Array, m: Array, P: Array, reason: Array | None
+        self,
+        index: int,
+        broken: Bool[Mask, " run"],
+        x: Float[Array, "run nx"],
+        m: Float[Array, "run nx"],
+        P: Float[Array, "run n n"],
+        reason: UInt[Faults, " run"] | None,
     ) -> None:
         """Note when and why each broken run failed first."""
         new = broken & (self._fault == Fault.NONE)

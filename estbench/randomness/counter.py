@@ -11,45 +11,57 @@ counter-based generator in the sense of Salmon et al. 2011, "Parallel random num
 import numpy as np
 from scipy.special import ndtri
 
-from estbench.shapes import Array, Keys
+from estbench.shapes import Array, Float, Keys, UInt
 from estbench.spaces.linalg import cholesky, symmetrize
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
-def default_keys(runs: int) -> Keys:
-    """The keys 0, 1, ... `(run,)`."""
+def default_keys(runs: int) -> UInt[Keys, " run"]:
+    """The keys 0, 1, ... of the runs."""
     return np.arange(runs, dtype=np.uint64)
 
 
-def bits(keys: Keys, counter: Keys, purpose: int, count: int) -> Keys:
-    """Random 64-bit words `(run, count)` for keys `(run,)` and counters `(run,)`."""
+def bits(
+    keys: UInt[Keys, " run"], counter: UInt[Keys, " run"], purpose: int, count: int
+) -> UInt[Keys, "run count"]:
+    """Random 64-bit words, `count` of each run."""
     start = _mix(np.atleast_1d(np.asarray(keys, np.uint64)) + _STEP)
     start = _mix(start + np.asarray(counter, np.uint64) * _STEP)
     start = _mix(start + np.full(1, purpose + 1, np.uint64) * _STEP)
     return _mix(start[:, None] + np.arange(1, count + 1, dtype=np.uint64) * _STEP)
 
 
-def uniform(keys: Keys, counter: Keys, purpose: int, *shape: int) -> Array:
+def uniform(
+    keys: UInt[Keys, " run"], counter: UInt[Keys, " run"], purpose: int, *shape: int
+) -> Float[Array, "run ..."]:
     """Uniforms in the open interval (0, 1), `(run, *shape)`, of 52 random bits each."""
     words = bits(keys, counter, purpose, int(np.prod(shape)))
     numbers = (words >> np.uint64(12)).astype(np.float64)
     return (numbers + 0.5).reshape(-1, *shape) * 2.0**-52
 
 
-def normal(keys: Keys, counter: Keys, purpose: int, *shape: int) -> Array:
+def normal(
+    keys: UInt[Keys, " run"], counter: UInt[Keys, " run"], purpose: int, *shape: int
+) -> Float[Array, "run ..."]:
     """Standard normals `(run, *shape)`, by inversion of the distribution function."""
     return ndtri(uniform(keys, counter, purpose, *shape))
 
 
-def gaussian(keys: Keys, counter: Keys, purpose: int, cov: Array, count: int) -> Array:
-    """Samples `(run, count, n)` of N(0, P) for P `(n, n)` or `(run, n, n)`, perhaps singular."""
+def gaussian(
+    keys: UInt[Keys, " run"],
+    counter: UInt[Keys, " run"],
+    purpose: int,
+    cov: Float[Array, "n n"] | Float[Array, "run n n"],
+    count: int,
+) -> Float[Array, "run count n"]:
+    """Samples of N(0, P), `count` of each run, for one P or one of each run, perhaps singular."""
     factor = square_root(cov if cov.ndim == 3 else cov[None])
     return normal(keys, counter, purpose, count, cov.shape[-1]) @ factor.mT
 
 
-def square_root(cov: Array) -> Array:
-    """S `(run, n, n)` with S Sᵀ = P: Cholesky, or by eigenvalues where P is singular.
+def square_root(cov: Float[Array, "run n n"]) -> Float[Array, "run n n"]:
+    """S with S Sᵀ = P: Cholesky, or by eigenvalues where P is singular.
 
     NaN where P has an eigenvalue below -1e-9 of its largest.
     """

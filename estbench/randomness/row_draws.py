@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from estbench.randomness.streams import Seeds, streams
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 Kind = Literal["normal", "uniform"]
 BLOCK = 32
@@ -35,7 +35,7 @@ class RowDraws:
         parts: Mapping[str, int],
         kind: Kind = "normal",
         block: int = BLOCK,
-        shape: Callable[[Array], Array] | None = None,
+        shape: Callable[[Float[Array, "block k"]], Float[Array, "block k"]] | None = None,
     ):
         self._parts, self._width = dict(parts), sum(parts.values())
         self._kind, self._shape = kind, shape
@@ -46,7 +46,7 @@ class RowDraws:
         self._count = np.zeros(rows, np.int64)
         self._together: int | None = 0
 
-    def start(self, rows: Ints, seed: Seeds, runs: Sequence[int]) -> None:
+    def start(self, rows: Int[Ints, " k"], seed: Seeds, runs: Sequence[int]) -> None:
         """Begin anew in some rows, each with the stream of its run.
 
         Args:
@@ -65,7 +65,7 @@ class RowDraws:
             self._generators[row], self._count[row] = list(own), 0
             self._fill(row)
 
-    def draw(self, mask: Mask | None = None) -> Array:
+    def draw(self, mask: Bool[Mask, " row"] | None = None) -> Float[Array, "row k"]:
         """The next numbers `(row, width)`; the rows outside the mask are not moved on.
 
         Args:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
+from estbench.shapes import Keys, UInt
+
 Words = NDArray[np.uint32]
 
 # The constants of O'Neill's seed_seq_fe, which `SeedSequence` is and promises to stay.
@@ -18,8 +20,8 @@ _LEFT, _RIGHT = np.uint32(0xCA01F9DD), np.uint32(0x4973F715)
 _POOL = 4
 
 
-def words(seed: int, runs: Sequence[int], purpose: int, count: int) -> NDArray[np.uint64]:
-    """The state `(run, count)` that `SeedSequence(seed, spawn_key=(run, purpose))` generates.
+def words(seed: int, runs: Sequence[int], purpose: int, count: int) -> UInt[Keys, "run count"]:
+    """The state that `SeedSequence(seed, spawn_key=(run, purpose))` generates.
 
     The library mixes the seed into its pool; the two words of the key, and the output, are done
     here for all runs together.
@@ -58,9 +60,9 @@ def _hash(value: Words, constant: int, factor: int) -> tuple[Words, int]:
 class Seed(ISeedSequence):
     """Words made beforehand, as a bit generator asks for them."""
 
-    def __init__(self, words: NDArray[np.uint64]):
+    def __init__(self, words: UInt[Keys, " count"]):
         self._words = words
 
-    def generate_state(self, n_words: int, dtype: type = np.uint64) -> NDArray[np.uint64]:  # type: ignore[override]
+    def generate_state(self, n_words: int, dtype: type = np.uint64) -> UInt[Keys, " k"]:  # type: ignore[override]
         """The first `n_words`."""
         return self._words[:n_words]

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from estbench.randomness import seeding
-from estbench.shapes import Array, Keys
+from estbench.shapes import Array, Float, Keys, UInt
 
 Seeds = int | Sequence[int]
 """The seed of all runs, or one for each."""
@@ -36,8 +36,10 @@ def streams(seed: Seeds, runs: Sequence[int], purpose: str) -> Iterator[np.rando
         yield np.random.Generator(bits)
 
 
-def normals(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
-    """Standard normals `(steps, run, width)`, time-major; run i's come from its own stream.
+def normals(
+    seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: int
+) -> Float[Array, "step run k"]:
+    """Standard normals, time-major; run i's come from its own stream.
 
     The first steps do not depend on how many follow.
     """
@@ -48,7 +50,9 @@ def normals(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: i
     return out
 
 
-def uniforms(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: int) -> Array:
+def uniforms(
+    seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: int
+) -> Float[Array, "step run k"]:
     """As `normals`, uniform on [0, 1)."""
     out = np.empty((steps, len(runs), width))
     for row, own in enumerate(streams(seed, runs, purpose)):
@@ -56,8 +60,8 @@ def uniforms(seed: Seeds, runs: Sequence[int], purpose: str, steps: int, width: 
     return out
 
 
-def run_keys(seed: Seeds, runs: Sequence[int], purpose: str) -> Keys:
-    """One 64-bit key per run `(run,)`, for estimators that draw random numbers of their own."""
+def run_keys(seed: Seeds, runs: Sequence[int], purpose: str) -> UInt[Keys, " run"]:
+    """One 64-bit key per run, for estimators that draw random numbers of their own."""
     word = zlib.crc32(purpose.encode())
     if isinstance(seed, int):
         return seeding.words(seed, runs, word, 1)[:, 0]

@@ -15,22 +15,24 @@ from estbench.sensors import timing
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import ChannelDescription
 from estbench.sensors.sampling import Sampler
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 
 def deviation(
-    values: Array, step: float, taus: Sequence[float] | Array | None = None
-) -> tuple[Array, Array]:
+    values: Float[Array, " reading *any"],
+    step: float,
+    taus: Sequence[float] | Float[Array, " k"] | None = None,
+) -> tuple[Float[Array, " tau"], Float[Array, " tau *any"]]:
     """Overlapping Allan deviation of readings of a rate, e.g. of a gyro in rad/s.
 
     Args:
-        values: readings `(time, ...)`, evenly spaced; the other axes are independent records.
+        values: readings, evenly spaced; the other axes are independent records.
         step: time between readings, s.
         taus: averaging times, s, rounded to multiples of the step; default 12 per decade, up to a
             quarter of the record.
 
     Returns:
-        Averaging times τ `(tau,)` in s, and the deviation `(tau, ...)` in the readings' unit.
+        Averaging times τ in s, and the deviation in the readings' unit.
 
     Raises:
         EstbenchError: fewer than 4 readings, or a τ longer than half the record.
@@ -84,8 +86,8 @@ class NoiseParameters:
         walk, drift = float(imperfections.walk[axis]), float(imperfections.drift[axis])
         return cls(density, walk, drift, imperfections.drift_time)
 
-    def expected(self, taus: Array) -> Array:
-        """The Allan deviation `(tau,)` at averaging times `(tau,)`, s."""
+    def expected(self, taus: Float[Array, " tau"]) -> Float[Array, " tau"]:
+        """The Allan deviation at averaging times, s."""
         tau = np.asarray(taus, dtype=np.float64)
         r = tau / self.drift_time
         markov = 2 / r * (1 - (3 - 4 * np.exp(-r) + np.exp(-2 * r)) / (2 * r))
@@ -94,8 +96,10 @@ class NoiseParameters:
         )
 
 
-def at_rest(channel: Channel, duration: float, seed: int = 0, runs: int = 1) -> Array:
-    """Readings `(reading, run, m)` of a channel whose true reading is zero.
+def at_rest(
+    channel: Channel, duration: float, seed: int = 0, runs: int = 1
+) -> Float[Array, "reading run m"]:
+    """Readings of a channel whose true reading is zero.
 
     Raises:
         EstbenchError: the channel reads an attitude, or loses or delays readings.

@@ -16,7 +16,7 @@ from estbench.scenario.schema import BelievedChannelSection, ChannelSection
 from estbench.sensors import datasheet, measurands, schedules
 from estbench.sensors.imperfections import Imperfections
 from estbench.sensors.timing import MjcfTiming, Timing
-from estbench.shapes import Array
+from estbench.shapes import Array, Float, Int
 from estbench.spaces.manifold import Manifold
 
 _ADD = "add <sensor> elements, or [channels.NAME] add = {type = 'jointpos', object = 'JOINT'}"
@@ -31,7 +31,7 @@ class Channel:
         measurand: what the channel measures: the noise-free reading.
         sensors: names of the MuJoCo sensors that the channel reads; empty for a function.
         kind: type of the sensor(s), or `function`.
-        cov: R `(m, m)`; where a schedule gives R itself, that of t = 0.
+        cov: R; where a schedule gives R itself, that of t = 0.
         columns: indices of the reading in sensordata; empty for a function.
         timing: rate, phase, jitter, latency.
         imperfections: biases, quantization, faults, ...; None for white noise only.
@@ -42,8 +42,8 @@ class Channel:
     measurand: Measurand
     sensors: tuple[str, ...]
     kind: str
-    cov: Array
-    columns: NDArray[np.intp]
+    cov: Float[Array, "m m"]
+    columns: Int[NDArray[np.intp], " ny"]
     timing: Timing
     imperfections: Imperfections | None = None
     schedule: schedules.Schedule | None = None
@@ -67,14 +67,14 @@ class Channel:
         return self.measurand.sensors[0]
 
     @cached_property
-    def factor(self) -> Array:
-        """L `(m, m)` with L Lᵀ = R; its row is zero where the noise is zero."""
+    def factor(self) -> Float[Array, "m m"]:
+        """L with L Lᵀ = R; its row is zero where the noise is zero."""
         exact = np.diag(self.cov) == 0.0
         factor = np.sqrt(self.cov) if exact.any() else np.linalg.cholesky(self.cov)
         return factor.astype(np.float64)
 
-    def noise_from(self, white: Array, t: float) -> Array:
-        """Noise v ~ N(0, R(t)) `(..., m)` from standard normals `(..., m)`; t in s."""
+    def noise_from(self, white: Float[Array, "*any m"], t: float) -> Float[Array, "*any m"]:
+        """Noise v ~ N(0, R(t)) from standard normals; t in s."""
         factor, size = self.factor, None
         if self.schedule is not None:
             value = self.schedule.at(t)
@@ -197,8 +197,8 @@ def _unused(sections: Mapping[str, ChannelSection], use: Sequence[str] | None) -
     return [f"not in use, as `sensors` does not name it: {name}" for name in unused]
 
 
-def mjcf_cutoff(model: mujoco.MjModel) -> Array:
-    """Saturation that the MJCF gives each sensor `(nsensor,)`; infinite for none.
+def mjcf_cutoff(model: mujoco.MjModel) -> Float[Array, " sensor"]:
+    """Saturation that the MJCF gives each sensor; infinite for none.
 
     MuJoCo clips neither unit vectors nor quaternions; the cutoff of its distance sensors is their
     range.
@@ -210,8 +210,8 @@ def mjcf_cutoff(model: mujoco.MjModel) -> Array:
     return np.where(clipped, model.sensor_cutoff, np.inf)
 
 
-def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Array:
-    """R `(m, m)` as the filter believes it: that of `section`, else the true one."""
+def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Float[Array, "m m"]:
+    """R as the filter believes it: that of `section`, else the true one."""
     if section.noise is None and section.cov is None:
         return channel.cov
     given = ChannelSection(noise=section.noise, cov=section.cov)
@@ -220,9 +220,12 @@ def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Ar
 
 
 def _per_axis(
-    model: mujoco.MjModel, measurand: Measurand, values: Array, default: float = 0.0
-) -> Array:
-    """Values per MuJoCo sensor `(nsensor,)` as values per tangent coordinate `(m,)`."""
+    model: mujoco.MjModel,
+    measurand: Measurand,
+    values: Float[Array, " sensor"],
+    default: float = 0.0,
+) -> Float[Array, " m"]:
+    """Values per MuJoCo sensor as values per tangent coordinate."""
     if not measurand.sensors:
         return np.full(measurand.space.n, default)
     widths = [layout.sensor_space(model, [i]).n for i in measurand.sensors]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.sensors.timing import Instant, Schedule
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Event:
 
     tick: int
     instant: Instant
-    rows: Mask | None = None
+    rows: Bool[Mask, " row"] | None = None
 
 
 class Clocks:
@@ -43,16 +43,16 @@ class Clocks:
         self.tick, self.shared = 0, True
 
     @property
-    def elapsed(self) -> Ints:
+    def elapsed(self) -> Int[Ints, " row"]:
         """Physics steps since each row's episode began `(row,)`."""
         return self.tick - self._begin
 
-    def start(self, rows: Ints) -> None:
+    def start(self, rows: Int[Ints, " k"]) -> None:
         """Begin episodes in some rows, by their numbers."""
         self._begin[rows] = self.tick
         self.shared = bool((self._begin == self._begin[0]).all())
 
-    def interval(self, nstep: int, rows: Mask | None = None) -> list[Event]:
+    def interval(self, nstep: int, rows: Bool[Mask, " row"] | None = None) -> list[Event]:
         """One interval of a given length for some rows, whatever the schedule says."""
         timestep, skip = self._schedule.timestep, self._schedule.frame_skip
         if self.shared and self._schedule.plain and nstep == skip:
@@ -70,7 +70,7 @@ class Clocks:
         self.tick += nstep
         return out
 
-    def period(self, rows: Mask | None = None) -> list[Event]:
+    def period(self, rows: Bool[Mask, " row"] | None = None) -> list[Event]:
         """The intervals of one control period of some rows, in the order of time."""
         skip = self._schedule.frame_skip
         if self._schedule.plain:
@@ -87,7 +87,9 @@ class Clocks:
         self.tick += skip
         return sorted(out, key=lambda event: event.tick)
 
-    def time(self, event: Event) -> tuple[float | Array, float | Array]:
+    def time(
+        self, event: Event
+    ) -> tuple[float | Float[Array, "row 1"], float | Float[Array, "row 1"]]:
         """Start and end of an event by each row's own clock, s; numbers where it is the same."""
         if self.shared:
             return event.instant.start, event.instant.end

@@ -7,7 +7,7 @@ import numpy as np
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.scenario.schema import ChannelSection
 from estbench.sensors.imperfections import Imperfections
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_definite
 from estbench.spaces.manifold import Manifold
 
@@ -23,8 +23,10 @@ ALLAN_FLOOR = 0.6643
 """Minimum of the Allan deviation over the bias instability, sqrt(2 ln 2/π) (IEEE Std 952)."""
 
 
-def matrix(given: Sequence[Sequence[float]], space: Manifold, where: str, symbol: str) -> Array:
-    """A full covariance `(n, n)` from a scenario, in the tangent space of `space`.
+def matrix(
+    given: Sequence[Sequence[float]], space: Manifold, where: str, symbol: str
+) -> Float[Array, "n n"]:
+    """A full covariance from a scenario, in the tangent space of `space`.
 
     Raises:
         DimensionError: the shape is not `(n, n)`.
@@ -45,17 +47,17 @@ def covariance(
     section: ChannelSection,
     where: str,
     space: Manifold,
-    mjcf_std: Array,
+    mjcf_std: Float[Array, " m"],
     rate: float,
     exact: bool = False,
-) -> tuple[Array, Array]:
-    """R `(m, m)`, and the assumed std `(m,)`, 0 where the scenario or the MJCF gives one.
+) -> tuple[Float[Array, "m m"], Float[Array, " m"]]:
+    """R, and the assumed std, 0 where the scenario or the MJCF gives one.
 
     Args:
         section: the section of the channel.
         where: name of the section, for messages.
         space: the manifold of its readings.
-        mjcf_std: std that the MJCF gives each axis `(m,)`, 0 for none.
+        mjcf_std: std that the MJCF gives each axis, 0 for none.
         rate: mean rate of the readings, Hz, for `noise_density`.
         exact: whether a std of 0 is allowed.
 
@@ -96,7 +98,7 @@ def covariance(
 
 
 def imperfections(
-    section: ChannelSection, where: str, space: Manifold, cutoff: Array
+    section: ChannelSection, where: str, space: Manifold, cutoff: Float[Array, " m"]
 ) -> Imperfections | None:
     """The imperfections in a section, or None if it has white noise only.
 
@@ -104,7 +106,7 @@ def imperfections(
         section: the section of the channel.
         where: name of the section, for messages.
         space: the manifold of its readings.
-        cutoff: saturation that the MJCF gives each axis `(m,)`, infinite for none.
+        cutoff: saturation that the MJCF gives each axis, infinite for none.
 
     Raises:
         DimensionError: the count of values is neither 1 nor m.

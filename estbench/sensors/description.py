@@ -9,7 +9,7 @@ from estbench.scenario.schema import BelievedChannelSection, FilterSection
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
 from estbench.sensors.timing import Timing
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 HEADINGS = ("channel", "reads", "noise σ", "unit", "rate", "latency", "imperfections")
 """Headings of `ChannelDescription.row`."""
@@ -22,7 +22,7 @@ class ChannelDescription:
     Attributes:
         name: the channel's name.
         kind: type of the MuJoCo sensors that it reads, or `function`.
-        std: standard deviation of the white noise `(m,)`; of a scheduled R, that at t = 0.
+        std: standard deviation of the white noise; of a scheduled R, that at t = 0.
         units: units of the reading, one per tangent coordinate.
         rate: mean rate of the readings, Hz.
         first: time of the first reading, s.
@@ -35,7 +35,7 @@ class ChannelDescription:
 
     name: str
     kind: str
-    std: Array
+    std: Float[Array, " m"]
     units: tuple[str, ...]
     rate: float
     first: float
@@ -119,8 +119,8 @@ def describe(channels: Sequence[Channel], section: FilterSection) -> tuple[Chann
     return tuple(ChannelDescription.of(c, section.channels.get(c.name)) for c in channels)
 
 
-def numbers(values: Array) -> str:
-    """The different values `(m,)`, in order; one number where all are equal."""
+def numbers(values: Float[Array, " k"]) -> str:
+    """The different values, in order; one number where all are equal."""
     return " ".join(dict.fromkeys(f"{v:.3g}" for v in values))
 
 

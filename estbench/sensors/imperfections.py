@@ -15,27 +15,27 @@ from functools import cache
 import numpy as np
 from scipy.special import gammaincinv, ndtr, ndtri
 
-from estbench.shapes import Array, Mask
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.manifold import Manifold
 
-Draws = dict[str, Array]
-"""Purpose -> random numbers `(run, width)` for one reading, or for the start."""
+Draws = dict[str, Float[Array, "run _"]]
+"""Purpose -> random numbers for one reading, or for the start."""
 
 
 @dataclass(frozen=True, eq=False)
 class Imperfections:
     """Every error of a sensor but its white noise; 0 switches an error off.
 
-    Attributes, per tangent coordinate where the shape is `(m,)`:
-        bias: std of a constant drawn once per run, `(m,)`.
-        walk: intensity of a random walk, unit/√s, `(m,)`.
-        drift: stationary std of a first-order Gauss-Markov drift, `(m,)`.
+    Attributes, an array having one number per tangent coordinate:
+        bias: std of a constant drawn once per run.
+        walk: intensity of a random walk, unit/√s.
+        drift: stationary std of a first-order Gauss-Markov drift.
         drift_time: correlation time of the drift, s.
-        scale_factor: std of the relative gain error of each axis, `(m,)`.
+        scale_factor: std of the relative gain error of each axis.
         misalignment: std of the rotation of a three-axis sensor, rad.
-        quantization: step, `(m,)`.
-        cutoff: saturation at ± this value, `(m,)`; infinite for none.
-        deadband: readings of smaller magnitude become zero, `(m,)`.
+        quantization: step.
+        cutoff: saturation at ± this value; infinite for none.
+        deadband: readings of smaller magnitude become zero.
         outlier_probability: probability that a reading is an outlier.
         outlier_scale: factor on the noise of an outlier.
         student_dof: degrees of freedom of Student-t noise with covariance R; 0 for Gaussian noise.
@@ -45,13 +45,13 @@ class Imperfections:
         stuck_length: mean length of a stuck-at fault, readings.
     """
 
-    bias: Array
-    walk: Array
-    drift: Array
-    scale_factor: Array
-    quantization: Array
-    cutoff: Array
-    deadband: Array
+    bias: Float[Array, " m"]
+    walk: Float[Array, " m"]
+    drift: Float[Array, " m"]
+    scale_factor: Float[Array, " m"]
+    quantization: Float[Array, " m"]
+    cutoff: Float[Array, " m"]
+    deadband: Float[Array, " m"]
     drift_time: float = 100.0
     misalignment: float = 0.0
     outlier_probability: float = 0.0
@@ -96,24 +96,24 @@ class State:
     """The state of a sensor in each run.
 
     Attributes:
-        bias: constant plus random walk `(run, m)`.
-        drift: Gauss-Markov drift `(run, m)`.
-        error: additive error of this reading: bias, drift and noise `(run, m)`.
-        gain: matrix that multiplies the true reading `(run, m, m)`, or None for the identity.
-        last: last reading that was delivered `(run, ny)`, or None where none has been kept.
-        stuck: whether the sensor has a stuck-at fault `(run,)`.
-        lost: whether this reading is lost `(run,)`.
-        time: time of the last reading, s, 0 before the first; `(run, 1)` where the runs differ.
+        bias: constant plus random walk.
+        drift: Gauss-Markov drift.
+        error: additive error of this reading: bias, drift and noise.
+        gain: matrix that multiplies the true reading, or None for the identity.
+        last: last reading that was delivered, or None where none has been kept.
+        stuck: whether the sensor has a stuck-at fault.
+        lost: whether this reading is lost.
+        time: time of the last reading, s, 0 before the first; an array where the runs differ.
     """
 
-    bias: Array
-    drift: Array
-    error: Array
-    gain: Array | None
-    last: Array | None
-    stuck: Mask
-    lost: Mask
-    time: float | Array = 0.0
+    bias: Float[Array, "run m"]
+    drift: Float[Array, "run m"]
+    error: Float[Array, "run m"]
+    gain: Float[Array, "run m m"] | None
+    last: Float[Array, "run ny"] | None
+    stuck: Bool[Mask, " run"]
+    lost: Bool[Mask, " run"]
+    time: float | Float[Array, "run 1"] = 0.0
 
 
 def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> State:
@@ -143,7 +143,11 @@ def start(imperfections: Imperfections, draws: Draws, runs: int, m: int) -> Stat
 
 
 def advance(
-    imperfections: Imperfections, noise: Array, state: State, draws: Draws, time: float | Array
+    imperfections: Imperfections,
+    noise: Float[Array, "run m"],
+    state: State,
+    draws: Draws,
+    time: float | Float[Array, "run 1"],
 ) -> State:
     """The state of the sensor at its next reading: errors, stuck-at faults and losses."""
     step, first = time - state.time, np.ravel(state.time) == 0.0
@@ -183,18 +187,18 @@ def advance(
 def respond(
     imperfections: Imperfections,
     space: Manifold,
-    clean: Array,
+    clean: Float[Array, "run ny"],
     state: State,
-    rows: Mask | None = None,
-) -> tuple[Array, State]:
-    """The reading `(run, ny)` of a true reading, and the state with the reading stored.
+    rows: Bool[Mask, " run"] | None = None,
+) -> tuple[Float[Array, "run ny"], State]:
+    """The reading of a true reading, and the state with the reading stored.
 
     Args:
         imperfections: the sensor's imperfections.
         space: the manifold of its readings.
-        clean: noise-free readings `(run, ny)`.
+        clean: noise-free readings.
         state: from `advance`.
-        rows: runs that sample now `(run,)`, None for all; the others keep their last reading.
+        rows: runs that sample now, None for all; the others keep their last reading.
     """
     y = clean if state.gain is None else (state.gain @ clean[..., None])[..., 0]
     y = space.plus(y, state.error)
@@ -208,8 +212,8 @@ def respond(
     return y, replace(state, last=last)
 
 
-def _transfer(imperfections: Imperfections, y: Array) -> Array:
-    """Saturation, quantization and deadband of readings `(run, m)`."""
+def _transfer(imperfections: Imperfections, y: Float[Array, "run m"]) -> Float[Array, "run m"]:
+    """Saturation, quantization and deadband of readings."""
     if np.isfinite(imperfections.cutoff).any():
         y = np.clip(y, -imperfections.cutoff, imperfections.cutoff)
     if imperfections.quantization.any():
@@ -220,8 +224,8 @@ def _transfer(imperfections: Imperfections, y: Array) -> Array:
     return y
 
 
-def _student_scale(uniform: Array, dof: float) -> Array:
-    """Factor `(run, 1)` that turns Gaussian into Student-t noise of equal covariance (dof > 2)."""
+def _student_scale(uniform: Float[Array, "run 1"], dof: float) -> Float[Array, "run 1"]:
+    """Factor that turns Gaussian into Student-t noise of equal covariance (dof > 2)."""
     return np.exp(np.interp(ndtri(uniform), *_student_table(dof)))
 
 

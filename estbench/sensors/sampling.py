@@ -18,7 +18,7 @@ from estbench.randomness.streams import Seeds
 from estbench.sensors import imperfections
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 from estbench.spaces.manifold import product
 from estbench.spaces.selection import chosen, select
 
@@ -38,9 +38,9 @@ class Delivery:
     """
 
     channel: str
-    due: int | Ints
-    y: Array
-    mask: Mask | None
+    due: int | Int[Ints, " row"]
+    y: Float[Array, "row ny"]
+    mask: Bool[Mask, " row"] | None
     taken: int
 
 
@@ -84,7 +84,7 @@ class Sampler:
         self._waiting: list[tuple[int, Delivery]] = []
         self._soonest = NEVER
 
-    def start(self, rows: Ints, seed: Seeds, runs: Sequence[int], tick: int) -> None:
+    def start(self, rows: Int[Ints, " k"], seed: Seeds, runs: Sequence[int], tick: int) -> None:
         """Begin episodes in some rows: the sensor is switched on, what was on its way is lost.
 
         Args:
@@ -121,7 +121,12 @@ class Sampler:
             return self._shared <= tick
         return bool((self._next <= tick).any())
 
-    def at(self, tick: int, clean: Array | None, moved: Mask | None = None) -> list[Delivery]:
+    def at(
+        self,
+        tick: int,
+        clean: Float[Array, "row ny"] | None,
+        moved: Bool[Mask, " row"] | None = None,
+    ) -> list[Delivery]:
         """What arrives at a tick.
 
         Args:

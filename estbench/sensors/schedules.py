@@ -12,11 +12,11 @@ import numpy as np
 
 from estbench import plugins as users
 from estbench.errors import CovarianceError, ScenarioError, user_error_location
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite
 
-Value = float | Array
-"""One factor, one per axis `(m,)`, or the full covariance `(m, m)`."""
+Value = float | Float[Array, " m"] | Float[Array, "m m"]
+"""One factor, one per axis, or the full covariance."""
 Symbol = Literal["R", "Q_s"]
 
 
@@ -86,7 +86,7 @@ class UserFunction:
             )
         return value if value.ndim else float(value)
 
-    def _covariance(self, value: Array, t: float) -> Array:
+    def _covariance(self, value: Float[Array, "m m"], t: float) -> Float[Array, "m m"]:
         definite = self.symbol == "R"
         if not (is_positive_definite if definite else is_positive_semidefinite)(value):
             raise CovarianceError(
@@ -147,8 +147,8 @@ def build(
     return PiecewiseConstant(until, tuple(row[1] for row in given))
 
 
-def initial_covariance(schedule: Schedule | None) -> Array | None:
-    """The covariance `(m, m)` at t = 0 if the schedule gives covariances, else None."""
+def initial_covariance(schedule: Schedule | None) -> Float[Array, "m m"] | None:
+    """The covariance at t = 0 if the schedule gives covariances, else None."""
     first = np.asarray(1.0 if schedule is None else schedule.at(0.0))
     return first if first.ndim == 2 else None
 

@@ -11,7 +11,7 @@ from estbench.robots.backend import Backend
 from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
 from estbench.sensors.sampling import Delivery, Sampler, alike
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 from estbench.spaces.manifold import product
 
 
@@ -54,7 +54,13 @@ class SensorSuite:
         self.latest = np.zeros((rows, self.space.nx))
 
     def start(
-        self, rows: Ints, seed: Seeds, runs: Sequence[int], tick: int, x: Array, u: Array
+        self,
+        rows: Int[Ints, " k"],
+        seed: Seeds,
+        runs: Sequence[int],
+        tick: int,
+        x: Float[Array, "row nx"],
+        u: Float[Array, "row nu"],
     ) -> None:
         """Begin episodes in some rows.
 
@@ -79,7 +85,12 @@ class SensorSuite:
             self.latest[rows, point] = y
 
     def read(
-        self, tick: int, t: float | Array, x: Array, u: Array, moved: Mask | None = None
+        self,
+        tick: int,
+        t: float | Float[Array, "row 1"],
+        x: Float[Array, "row nx"],
+        u: Float[Array, "row nu"],
+        moved: Bool[Mask, " row"] | None = None,
     ) -> list[Delivery]:
         """Take the readings that are due, and hand out those that arrive.
 
@@ -112,7 +123,13 @@ class SensorSuite:
                 self._note(delivery)
         return out
 
-    def clean(self, channels: Sequence[Channel], t: float | Array, x: Array, u: Array) -> Array:
+    def clean(
+        self,
+        channels: Sequence[Channel],
+        t: float | Float[Array, "row 1"],
+        x: Float[Array, "row nx"],
+        u: Float[Array, "row nu"],
+    ) -> Float[Array, "row ny"]:
         """Noise-free readings `(row, ny)` of some channels, one after the other."""
         return self._read(self._plan(channels), t, x, u)
 

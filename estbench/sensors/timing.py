@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from estbench.errors import ScenarioError
-from estbench.shapes import Array, Ints
+from estbench.shapes import Array, Float, Int, Ints
 
 MOST_INSTANTS = 5_000_000
 """Upper limit of the instants per run: 2.5 GB at half a kilobyte each."""
@@ -128,8 +128,8 @@ class Timing:
         """Upper limit of the arrival time after the due time, ticks (five standard deviations)."""
         return int(np.ceil(self.latency + 5 * self.latency_std - 1e-9)) + self.jitter
 
-    def due(self, ticks: int) -> Ints:
-        """Ticks `(reading,)` at which readings are due up to `ticks`."""
+    def due(self, ticks: int) -> Int[Ints, " reading"]:
+        """Ticks at which readings are due up to `ticks`."""
         first, interval = self.fractional or (self.phase or self.period, self.period)
         due = self.due_tick(np.arange(max(0, int((ticks - first) / interval) + 1)))
         return due[due <= ticks]
@@ -148,20 +148,27 @@ class Timing:
         ticks = self.due_tick(np.arange(lowest, int((until - first) / interval) + 2))
         return ticks[(ticks > after) & (ticks <= until)].tolist()
 
-    def sampling_tick(self, due: Ints, uniform: Array) -> Ints:
+    def sampling_tick(
+        self, due: Int[Ints, "*any"], uniform: Float[Array, "*any"]
+    ) -> Int[Ints, "*any"]:
         """The tick at which a reading is taken that is due at `due`, from uniforms on [0, 1)."""
         off = np.floor(uniform * (2 * self.jitter + 1)).astype(np.int64) - self.jitter
         return np.maximum(due + off, 1)
 
-    def arrival_tick(self, sampled: Ints, reading: int | Ints, normal: Array | float = 0.0) -> Ints:
+    def arrival_tick(
+        self,
+        sampled: Int[Ints, "*any"],
+        reading: int | Int[Ints, "*any"],
+        normal: Float[Array, "*any"] | float = 0.0,
+    ) -> Int[Ints, "*any"]:
         """The tick at which a reading arrives that was taken at `sampled`.
 
         A random latency is a normal number, but never negative.
 
         Args:
-            sampled: `(row,)`.
-            reading: its number, from 0 `(row,)`.
-            normal: standard normals `(row,)`.
+            sampled: tick at which it was taken.
+            reading: its number, from 0; one number where all rows have the same.
+            normal: standard normals.
         """
         late = np.maximum(self.latency + self.latency_std * normal, 0.0)
         out = sampled + np.ceil(late - 1e-6).astype(np.int64)

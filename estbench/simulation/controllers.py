@@ -21,12 +21,12 @@ from estbench.robots import backend
 from estbench.robots.controls import ControlRange
 from estbench.robots.layout import actuator_names
 from estbench.scenario.schema import ControlSection
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 
-Controller = Callable[[int, float, Array], Array]
-"""(filter step, time in s, state `(run, nx)`) -> control `(run, nu)`."""
+Controller = Callable[[int, float, Float[Array, "run nx"]], Float[Array, "run nu"]]
+"""(filter step, time in s, state) -> control."""
 
 KINDS = {
     "none": "hold the keyframe's control (zero without a keyframe)",
@@ -46,15 +46,15 @@ class Plant:
     Attributes:
         model: compiled MuJoCo model.
         space: its state space.
-        x0: keyframe state `(nx,)`.
-        u0: keyframe control `(nu,)`.
+        x0: keyframe state.
+        u0: keyframe control.
         nstep: physics steps between control updates.
     """
 
     model: mujoco.MjModel
     space: Manifold
-    x0: Array
-    u0: Array
+    x0: Float[Array, " nx"]
+    u0: Float[Array, " nu"]
     nstep: int
 
     @property
@@ -156,8 +156,8 @@ def clamped(section: ControlSection, plant: Plant) -> list[str]:
     ]
 
 
-def linearize(plant: Plant) -> tuple[Array, Array]:
-    """A `(n, n)` and B `(n, nu)` of one control period about the keyframe, centred differences."""
+def linearize(plant: Plant) -> tuple[Float[Array, "n n"], Float[Array, "n nu"]]:
+    """A and B of one control period about the keyframe, centred differences."""
     engine, space, step = backend.create(plant.model), plant.space, 1e-6
     n, nu = space.n, plant.model.nu
     x = np.broadcast_to(plant.x0, (1, 2 * (n + nu) + 1, plant.x0.size)).copy()
@@ -173,8 +173,8 @@ def linearize(plant: Plant) -> tuple[Array, Array]:
     return A, B
 
 
-def lqr_gain(plant: Plant, section: ControlSection) -> Array:
-    """K `(nu, n)` with u = u₀ - K (x ⊖ x₀), from the discrete algebraic Riccati equation.
+def lqr_gain(plant: Plant, section: ControlSection) -> Float[Array, "nu n"]:
+    """K with u = u₀ - K (x ⊖ x₀), from the discrete algebraic Riccati equation.
 
     Raises:
         ControllerError: the keyframe cannot be stabilized.
@@ -208,8 +208,10 @@ def _sine(
     return sine
 
 
-def _gauss_markov(white: Array, correlation: float) -> Array:
-    """Unit-variance first-order Gauss-Markov sequence `(steps, run, nu)` from standard normals."""
+def _gauss_markov(
+    white: Float[Array, "step run nu"], correlation: float
+) -> Float[Array, "step run nu"]:
+    """Unit-variance first-order Gauss-Markov sequence from standard normals."""
     out = white * np.sqrt(1.0 - correlation**2)
     out[:1] = white[:1]
     for k in range(1, len(out)):

@@ -11,7 +11,7 @@ import numpy as np
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Instant
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 from estbench.simulation.controllers import Controller
 from estbench.simulation.truth import Simulator
 
@@ -21,13 +21,13 @@ class Trajectory:
     """What happened in some runs.
 
     Attributes:
-        x: true states `(instant + 1, run, nx)`, the first at t = 0; NaN from where MuJoCo failed.
-        u: controls `(instant, run, nu)`, held up to the instant.
+        x: true states, the first at t = 0; NaN from where MuJoCo failed.
+        u: controls, held up to the instant.
         deliveries: what arrived at each instant.
     """
 
-    x: Array
-    u: Array
+    x: Float[Array, "time run nx"]
+    u: Float[Array, "time-1 run nu"]
     deliveries: list[list[Delivery]]
 
 
@@ -39,11 +39,13 @@ class Recorded:
         self.x0 = trajectory.x[0]
         self._trajectory = trajectory
 
-    def control(self, k: int, estimate: Array) -> Array:
+    def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
         """The recorded control."""
         return self._trajectory.u[k]
 
-    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
+    def advance(
+        self, k: int, u: Float[Array, "run nu"]
+    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
         """The recorded state and readings."""
         return self._trajectory.x[k + 1], self._trajectory.deliveries[k]
 
@@ -70,15 +72,17 @@ class Live:
         self._simulator, self._controller, self._period = simulator, controller, period
         self._u = np.empty(0)
 
-    def control(self, k: int, estimate: Array) -> Array:
-        """The controller's answer to the states `(run, nx)` that it sees."""
+    def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
+        """The controller's answer to the states that it sees."""
         instant = self.events[k].instant
         if instant.control:
             step = round(instant.start / self._period)
             self._u = self._controller(step, instant.start, finite(estimate, self.x0))
         return self._u
 
-    def advance(self, k: int, u: Array) -> tuple[Array, list[Delivery]]:
+    def advance(
+        self, k: int, u: Float[Array, "run nu"]
+    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
         """Step the robots."""
         arrived = self._simulator.advance(self.events[k], u)
         return self._simulator.x, arrived
@@ -99,7 +103,7 @@ def record(source: Live) -> Trajectory:
     return Trajectory(states, np.stack(controls), deliveries)
 
 
-def finite(x: Array, fallback: Array) -> Array:
+def finite(x: Float[Array, "run nx"], fallback: Float[Array, "run nx"]) -> Float[Array, "run nx"]:
     """X with the rows that are not finite replaced: a failed run must not reach a controller."""
     bad = ~np.isfinite(x).all(axis=-1)
     return np.where(bad[:, None], fallback, x) if bad.any() else x

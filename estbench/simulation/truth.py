@@ -17,7 +17,7 @@ from estbench.sensors.clock import Clocks, Event
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.suite import SensorSuite
 from estbench.sensors.timing import Instant, Schedule
-from estbench.shapes import Array, Ints
+from estbench.shapes import Array, Float, Int, Ints
 from estbench.spaces.linalg import row_product
 from estbench.spaces.manifold import Manifold
 
@@ -55,7 +55,7 @@ class Simulator:
         channels: Sequence[Channel],
         schedule: Schedule,
         disturbance: Disturbance,
-        initial: tuple[Array, Array],
+        initial: tuple[Float[Array, " nx"], Float[Array, "n n"]],
         draws: Mapping[str, Draw],
         rows: int,
         instants: Sequence[Instant] | None = None,
@@ -81,7 +81,13 @@ class Simulator:
         }
         self.x = np.repeat(self._mean[None], rows, axis=0)
 
-    def start(self, rows: Ints, seed: Seeds, runs: Sequence[int], u: Array) -> None:
+    def start(
+        self,
+        rows: Int[Ints, " k"],
+        seed: Seeds,
+        runs: Sequence[int],
+        u: Float[Array, "row nu"],
+    ) -> None:
         """Begin episodes in some rows: x₀ ~ N(x̂₀, P₀), and parameters are drawn.
 
         Args:
@@ -107,7 +113,7 @@ class Simulator:
         """Release the backend."""
         self._backend.close()
 
-    def advance(self, event: Event, u: Array) -> list[Delivery]:
+    def advance(self, event: Event, u: Float[Array, "row nu"]) -> list[Delivery]:
         """Step some rows under controls u `(row, nu)`, and read what arrives.
 
         The sensors are read under the commanded control, without the disturbance: an accelerometer
