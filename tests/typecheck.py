@@ -32,13 +32,16 @@ CONF = BeartypeConf(is_pep484_tower=True)
 UNCHECKED = {"Innovation"}
 """What a user's estimator returns: `inference.innovations.check` refuses one that does not fit."""
 
-_test = 0
+
+class _Test:
+    """The number of the test that runs."""
+
+    number = 0
 
 
 def begin_test() -> None:
     """Check the next calls of every function again."""
-    global _test
-    _test += 1
+    _Test.number += 1
 
 
 def install() -> None:
@@ -108,12 +111,11 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     signature, where = inspect.signature(function), f"{function.__module__}.{function.__qualname__}"
     test, left = -1, 0
 
-    @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         nonlocal test, left
         result = function(*args, **kwargs)
-        if test != _test:
-            test, left = _test, CALLS
+        if test != _Test.number:
+            test, left = _Test.number, CALLS
         if left:
             left -= 1
             values = {**signature.bind(*args, **kwargs).arguments, "return": result}
@@ -124,4 +126,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
                         die_if_unbearable(values[name], hint, conf=CONF, exception_prefix=prefix)
         return result
 
-    return wrapper
+    # Its frames pass for frames of estbench where a user's error is traced to its line.
+    of_estbench = {**globals(), "__name__": function.__module__}
+    code, closure = wrapper.__code__, wrapper.__closure__
+    return functools.wraps(function)(types.FunctionType(code, of_estbench, closure=closure))
