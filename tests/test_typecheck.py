@@ -7,6 +7,7 @@ from beartype.roar import BeartypeDoorHintViolation
 from estbench.estimators.beliefs import Gaussian, check_prior
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
+from estbench.simulation.sources import Trajectory
 from estbench.spaces import rotation
 from tests import typecheck
 
@@ -18,6 +19,12 @@ def test_a_wrong_shape_is_found():
         Gaussian(np.zeros((2, 3)), np.zeros((1, 3, 3)), faults)
     with pytest.raises(BeartypeDoorHintViolation, match=r"rotation\.conjugate: q"):
         rotation.conjugate(np.zeros((2, 1)))
+
+
+def test_lengths_that_belong_together_are_compared():
+    Trajectory(np.zeros((4, 2, 3)), np.zeros((3, 2, 1)), [])
+    with pytest.raises(BeartypeDoorHintViolation, match=r"Trajectory\.__init__: u"):
+        Trajectory(np.zeros((4, 2, 3)), np.zeros((4, 2, 1)), [])
 
 
 def test_a_wrong_result_is_found():

@@ -158,7 +158,7 @@ class Timing:
     def arrival_tick(
         self,
         sampled: Int[Ints, "*any"],
-        reading: int | Int[Ints, "*any"],
+        reading: int | Int[Ints, "*#any"],
         normal: Float[Array, "*any"] | float = 0.0,
     ) -> Int[Ints, "*any"]:
         """The tick at which a reading arrives that was taken at `sampled`.
