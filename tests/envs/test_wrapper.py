@@ -399,6 +399,7 @@ def test_a_step_after_the_end_and_actions_outside():
 def test_mujocos_global_settings_are_put_back():
     from estbench.robots import library
 
+    gc.collect()  # the environments of other tests
     before = library._users
     envs = [wrapped(estimator="ekf"), gym.make("estbench/Pendulum-v0")]
     assert library._users >= before + 2
