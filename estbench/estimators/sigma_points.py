@@ -1,6 +1,7 @@
 """Sigma-point rules: unit points and weights, and the moments of their images on a manifold."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,9 +33,37 @@ class SigmaPoints:
         self, space: Manifold, values: Float[Array, "run point nx"]
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"], Float[Array, "run n n"]]:
         """Mean of the values, their residuals from it, and their covariance."""
-        mean = space.mean(values, self.mean_weights)
-        residual = space.minus(values, mean[:, None])
+        mean, residual = self.residuals(space, values)
         return mean, residual, self.cross(residual, residual)
+
+    def residuals(
+        self, space: Manifold, values: Float[Array, "run point nx"]
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"]]:
+        """Mean of the values and their residuals from it; angles are taken to `on_line` first."""
+        values = self.on_line(space, values)
+        mean = space.line.mean(values, self.mean_weights)
+        return mean, space.line.minus(values, mean[:, None])
+
+    def on_line(
+        self, space: Manifold, values: Float[Array, "run point nx"]
+    ) -> Float[Array, "run point nx"]:
+        """The values with each angle within π of that of the central point's value.
+
+        Moments of angles are then those of the real line, also under a wide belief, while the
+        values are within π of the central one, and at any width where the function does not wrap.
+        A rule without a point at the centre takes the mean direction instead.
+        """
+        if not space.angles:
+            return values
+        at = self.centre
+        centre = values[:, at] if at >= 0 else space.mean(values, self.mean_weights)
+        return space.unwrapped(values, centre)
+
+    @cached_property
+    def centre(self) -> int:
+        """Index of the point at the centre; -1 where there is none."""
+        norm = np.abs(self.points).max(axis=-1)
+        return int(norm.argmin()) if norm.min() < 1e-12 else -1
 
     def cross(
         self, a: Float[Array, "run point n"], b: Float[Array, "run point m"]

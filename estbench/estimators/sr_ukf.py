@@ -60,9 +60,8 @@ class SquareRootUKF(FactorEstimator):
         space = self.model.space
         points = self.rule.draw(space, belief.mean, belief.factor)
         points = self.model.transition(points, u, t, dt)
-        mean = space.mean(points, self.rule.mean_weights)
+        mean, residuals = self.rule.residuals(space, points)
         Q = self.model.process_noise(belief.mean, u, t, dt)
-        residuals = space.minus(points, mean[:, None])
         factor = self._factor(residuals, np.broadcast_to(psd_root(Q), belief.factor.shape))
         return factor_belief(mean, factor, belief.fault, lost(factor, residuals))
 
@@ -79,8 +78,7 @@ class SquareRootUKF(FactorEstimator):
         space, output = self.model.space, self.model.output(channels)
         points = self.rule.draw(space, belief.mean, belief.factor)
         images = self.model.measurement(points, u, t, channels)
-        predicted = output.mean(images, self.rule.mean_weights)
-        residuals = output.minus(images, predicted[:, None])
+        predicted, residuals = self.rule.residuals(output, images)
         residual = output.minus(y, predicted)
         if mask is not None:
             residual = np.where(mask, residual, 0.0)

@@ -52,8 +52,9 @@ class SigmaPointFilter(GaussianEstimator):
         mean, _, cov = self.rule.moments(self.model.space, points)
         Q = self.model.process_noise(belief.mean, u, t, dt)
         prior = replace(
-            belief, mean=mean, cov=symmetrize(cov + Q), points=None if self.redraw else points
-        )
+            belief, mean=mean, cov=symmetrize(cov + Q),
+            points=None if self.redraw else self.rule.on_line(self.model.space, points),
+        )  # fmt: skip
         return mark_failed(prior, failed_factor(lower, belief.cov))
 
     def update(
@@ -75,7 +76,7 @@ class SigmaPointFilter(GaussianEstimator):
             points = self.rule.draw(space, belief.mean, lower)
             spread = self.rule.points @ lower.mT
         else:
-            spread = space.minus(points, belief.mean[:, None])
+            spread = space.line.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
         predicted, residuals, S = self.rule.moments(output, images)
         S = symmetrize(S + self.model.measurement_noise(t, channels))

@@ -11,13 +11,19 @@ from estbench.errors import ScenarioError
 from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
 
+_EPS = float(np.finfo(np.float64).eps)
+_ROUNDING = 1e-7
+"""Relative rounding error of a difference quotient above which larger steps are tried."""
+
 
 @dataclass(frozen=True)
 class Differences:
     """Scheme, `forward` (n + 1 evaluations) or `centered` (2 n + 1), and step of the differences.
 
     The step is in the unit of the tangent coordinate. The error of forward differences is O(step),
-    that of centered ones O(step²), plus rounding of order 1e-16/step.
+    that of centered ones O(step²), plus rounding of order 1e-16 |x|/step. Where a coordinate is so
+    large that rounding would exceed 1e-7 (|x| above 4500 for a step of 1e-5), larger steps are
+    tried too, and each element is taken from the largest one at which the function is still linear.
     """
 
     scheme: Literal["forward", "centered"] = "forward"
@@ -34,14 +40,14 @@ class Differences:
         return _directions(n, self.step, self.scheme, n)
 
     def slope(
-        self, space: Manifold, values: Float[Array, "run point ny"]
+        self, space: Manifold, values: Float[Array, "run point ny"], step: float | None = None
     ) -> Float[Array, "run m n"]:
-        """Jacobian from the values of a function at the `directions`."""
+        """Jacobian from the values of a function at the `directions`, or at those of a `step`."""
         change = space.minus(values[:, 1:], values[:, :1])
         if self.scheme == "centered":
             n = change.shape[1] // 2
             change = 0.5 * (change[:, :n] - change[:, n:])
-        return change.mT / self.step
+        return change.mT / (self.step if step is None else step)
 
     def jacobian(
         self,
@@ -65,11 +71,46 @@ class Differences:
         reach = n if reach is None else reach
         values = function(source.plus(x[:, None], _directions(n, self.step, self.scheme, reach)))
         slope = self.slope(target, values)
+        limit = self.step * _ROUNDING / _EPS
+        # The sum is cheap and bounds every coordinate; the second test decides.
+        if not (x.size < 4096 and np.vdot(x, x) <= limit * limit) and (np.abs(x) > limit).any():
+            slope = self._widened(function, source, target, x, values[:, 0], slope, reach)
         if reach == n:
             return values[:, 0], slope
         out = np.zeros((*slope.shape[:-1], n))
         out[..., :reach] = slope
         return values[:, 0], out
+
+    def _widened(
+        self,
+        function: Callable[[Array], Array],
+        source: Manifold,
+        target: Manifold,
+        x: Array,
+        value: Array,
+        slope: Array,
+        reach: int,
+    ) -> Array:
+        """The Jacobian of large coordinates, by steps that their rounding errors do not hide.
+
+        Rounding errs by e/h with e of order 1e-16 (|f| + |J| |x|). The step h grows by factors of
+        16 until that is below 1e-7 of the largest coordinate. An element goes along while its
+        change is within the rounding errors of the smaller step; beyond that the function bends.
+        """
+        inputs, outputs = source.magnitude(x)[:, :reach, None], target.magnitude(value)[..., None]
+        largest = np.maximum(inputs.max(axis=(1, 2)), outputs.max(axis=(1, 2)))
+        needed = np.where(np.isfinite(largest), largest, 0.0) * _EPS / _ROUNDING
+        step, open_ = self.step, np.ones(slope.shape, bool)
+        while open_.any() and (step < needed).any():
+            error = 4.0 * _EPS / step  # of the smaller step
+            open_ &= (step < needed)[:, None, None]
+            step *= 16.0
+            points = source.plus(x[:, None], _directions(source.n, step, self.scheme, reach))
+            wider = self.slope(target, function(points), step)
+            size = outputs + np.maximum(np.abs(slope), np.abs(wider)) @ inputs
+            open_ &= np.abs(wider - slope) <= 2.0 * error * size
+            slope = np.where(open_, wider, slope)
+        return slope
 
 
 @lru_cache(maxsize=64)

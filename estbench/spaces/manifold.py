@@ -9,7 +9,8 @@ representations through encapsulation of manifolds" (2013), Table 1.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,23 +135,51 @@ class Manifold:
             out[..., to] = rotation.short_way(out[..., to])
         return out
 
+    def magnitude(self, x: Float[Array, "... nx"]) -> Float[Array, "... n"]:
+        """|x| of each coordinate of the tangent; 1 for those of a rotation."""
+        if self.flat:
+            return np.abs(x)
+        out = np.ones((*x.shape[:-1], self.n))
+        for at, to in self._lines:
+            np.abs(x[..., at], out=out[..., to])
+        return out
+
     def mean(
         self, points: Float[Array, "*any point nx"], weights: Float[Array, "... point"]
     ) -> Float[Array, "*any nx"]:
         """Weighted mean of points: the m with Σ wᵢ (xᵢ ⊖ m) = 0.
 
-        Quaternions are averaged by `rotation.mean`. Each angle is first taken to within π of that
-        of the first point.
+        Quaternions are averaged by `rotation.mean`, angles by `rotation.mean_angle`.
         """
         mean = weighted(weights, points)
         if self.angles:
             at, _ = self._circles
-            angles = points[..., at]
-            first = angles[..., :1, :]
-            mean[..., at] = first[..., 0, :] + weighted(weights, rotation.short_way(angles - first))
+            mean[..., at] = rotation.mean_angle(points[..., at], weights)
         for at, _ in self._turns:
             mean[..., at] = rotation.mean(points[..., at], weights)
         return mean
+
+    @cached_property
+    def line(self) -> "Manifold":
+        """The same coordinates, with every angle as a point of the real line."""
+        return replace(self, angles=()) if self.angles else self
+
+    def unwrapped(
+        self, points: Float[Array, "*any point nx"], centre: Float[Array, "*any nx"]
+    ) -> Float[Array, "*any point nx"]:
+        """The points in `line`: each angle within π of that of the centre.
+
+        Angles that differ by more than a turn are left as they are: the function that gave them
+        does not wrap.
+        """
+        if not self.angles:
+            return points
+        at, _ = self._circles
+        angles, middle = points[..., at], centre[..., None, at]
+        wide = np.ptp(angles, axis=-2, keepdims=True) > 2 * np.pi
+        out = points.copy()
+        out[..., at] = np.where(wide, angles, middle + rotation.short_way(angles - middle))
+        return out
 
     def reset_jacobian(self, delta: Float[Array, "*any n"]) -> Float[Array, "*any n n"]:
         """J = ∂((x ⊞ (δ + e)) ⊖ (x ⊞ δ))/∂e at e = 0.

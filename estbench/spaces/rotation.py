@@ -69,6 +69,29 @@ def short_way(angle: Float[Array, "*any"]) -> Float[Array, "*any"]:
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
 
 
+def mean_angle(
+    angles: Float[Array, "*any point k"], weights: Float[Array, "... point"], iterations: int = 20
+) -> Float[Array, "*any k"]:
+    """Weighted mean m of angles on the circle: Σ wᵢ short_way(aᵢ - m) = 0.
+
+    Gauss-Newton iterations from the mean direction atan2(Σ |wᵢ| sin aᵢ, Σ |wᵢ| cos aᵢ) (Mardia &
+    Jupp 2000, sec. 2.2), until every correction is below 1e-13 rad. Where all angles are within π
+    of the mean it is the mean on the real line. Of the equivalent values the one within π of the
+    first angle is returned.
+    """
+    size = np.abs(weights)
+    mean = np.arctan2(weighted(size, np.sin(angles)), weighted(size, np.cos(angles)))
+    for _ in range(iterations):
+        delta = weighted(weights, short_way(angles - mean[..., None, :]))
+        converged = ~(np.abs(delta) > 1e-13)  # or NaN
+        # A converged mean is not changed, so that it depends on its own row alone.
+        mean = np.where(converged, mean, mean + delta)
+        if converged.all():
+            break
+    first = angles[..., 0, :]
+    return first + short_way(mean - first)
+
+
 def mean(
     q: Float[Array, "*any point 4"], weights: Float[Array, "... point"], iterations: int = 20
 ) -> Float[Array, "*any 4"]:

@@ -5,7 +5,7 @@ from estbench.errors import ScenarioError
 from estbench.models.differences import Differences
 from estbench.robots.layout import state_space
 from estbench.spaces.manifold import Manifold
-from tests.helpers import random_states, zoo_model
+from tests.helpers import mujoco_model, random_states, zoo_model
 
 LINE = Manifold.euclidean(2)
 
@@ -83,3 +83,48 @@ def test_step_out_of_range(step):
 def test_unknown_scheme():
     with pytest.raises(ScenarioError, match="scheme is 'backward'; use 'forward' or 'centered'"):
         Differences("backward")
+
+
+@pytest.mark.parametrize(("scheme", "step"), [("forward", 1e-6), ("centered", 1e-5)])
+@pytest.mark.parametrize("x0", [1.0, -4.6e6, 1.7e9, 1e12])
+def test_large_coordinates(x0, scheme, step):
+    # A drifting position, a velocity with drag, and a beacon that is 100 away.
+    def transition(p):
+        speed = p[..., 1]
+        return np.stack([p[..., 0] + 0.1 * speed, speed - 0.01 * speed**2], axis=-1)
+
+    def bearing(p):
+        east, north = p[..., 0] - (x0 - 60.0), p[..., 1] + 77.0
+        return np.stack([np.hypot(east, north), np.arctan2(north, east)], axis=-1)
+
+    x, differences = np.array([[x0, 3.0]]), Differences(scheme, step)
+    _, F = differences.jacobian(transition, LINE, LINE, x)
+    np.testing.assert_allclose(F[0], [[1, 0.1], [0, 0.94]], rtol=0, atol=1e-7)
+    _, H = differences.jacobian(bearing, LINE, Manifold.euclidean(2, angles=[1]), x)
+    expected = np.array([[0.6, 0.8], [-0.008, 0.006]])
+    # With rounding errors e and curvature c no step of a forward difference errs by less than
+    # 2 sqrt(e c); e is 1e-4 at 1e12, c = 0.8²/100.
+    least = 2 * np.sqrt(4 * np.finfo(float).eps * abs(x0) * 0.0064)
+    np.testing.assert_allclose(H[0], expected, rtol=0, atol=1e-7 + 2 * least)
+
+
+def test_small_coordinates_are_as_before_beside_a_large_one():
+    x = np.array([[0.5, -0.3], [4.6e6, 1.0], [np.nan, 1.0], [1.0, 2.0]])
+    with np.errstate(invalid="ignore"):
+        _, J = Differences().jacobian(cubic, LINE, Manifold.euclidean(3), x)
+    _, alone = Differences().jacobian(cubic, LINE, Manifold.euclidean(3), x[[0, 3]])
+    np.testing.assert_array_equal(J[[0, 3]], alone)
+    np.testing.assert_allclose(J[1, 0, 0], 3 * 4.6e6**2, rtol=1e-5)
+    assert np.isnan(J[2, 0, 0])
+
+
+@pytest.mark.parametrize("x0", [4.6e6, 1e9])
+def test_a_robot_far_from_the_origin(x0):
+    mjcf_model = zoo_model("free")
+    model = mujoco_model("free")
+    x, u = random_states(mjcf_model, 2)
+    far = x.copy()
+    far[:, 0] += x0
+    _, near = model.transition_jacobian(x, u, 0.0, 0.05)
+    _, there = model.transition_jacobian(far, u, 0.0, 0.05)
+    np.testing.assert_allclose(there, near, rtol=0, atol=3e-13 * x0 + 1e-5)
