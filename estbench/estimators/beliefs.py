@@ -1,7 +1,7 @@
 """The Gaussian belief, the faults of a run, and the start of an estimator."""
 
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from estbench.errors import DimensionError
 from estbench.estimators.protocol import Estimator
+from estbench.randomness.counter import default_keys
 from estbench.shapes import Array, Faults, Float, Keys, UInt
 from estbench.spaces.manifold import Manifold
 
@@ -78,6 +79,29 @@ def start(
     """The belief at the start; `keys` are passed on if the `init` of the estimator takes them."""
     random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
     return estimator.init(mean, cov, **({"keys": keys} if random else {}))
+
+
+def restart(
+    estimator: Estimator, belief: Any, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]
+) -> Any:
+    """The belief N(mean, cov), whose random numbers go on where those of `belief` are."""
+    started = start(estimator, mean, cov, getattr(belief, "keys", None))
+    counter = getattr(belief, "counter", None)
+    return started if counter is None else replace(started, counter=counter)
+
+
+def random_start(
+    runs: int, keys: UInt[Keys, " k"] | None
+) -> tuple[UInt[Keys, " run"], UInt[Keys, " run"]]:
+    """The keys of the runs, by default 0, 1, ..., and their counters at zero.
+
+    Raises:
+        DimensionError: there is not one key per run.
+    """
+    keys = default_keys(runs) if keys is None else np.asarray(keys, np.uint64)
+    if keys.shape != (runs,):
+        raise DimensionError(f"keys has shape {keys.shape}; expected one per run, {(runs,)}")
+    return keys, np.zeros(runs, np.uint64)
 
 
 class GaussianEstimator:

@@ -8,13 +8,14 @@ import numpy as np
 
 from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators import registry
+from estbench.estimators.beliefs import start
 from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator
 from estbench.estimators.schmidt import SchmidtEKF
-from estbench.estimators.settings import names, table
+from estbench.estimators.settings import base, names, table
 from estbench.models.augmented import Augmented
 from estbench.models.protocol import Model
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Float, Keys, UInt
 
 PerName = float | Sequence[float] | dict[str, float]
 
@@ -48,7 +49,6 @@ class BiasFilter(OverFilter):
     inputs: PerName = 0.0
     input_walk: PerName = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
-    base: ClassVar[str] = "ekf"
     _augmented: Augmented = field(init=False, repr=False)
     _filter: Estimator = field(init=False, repr=False)
 
@@ -64,9 +64,14 @@ class BiasFilter(OverFilter):
         object.__setattr__(self, "_augmented", augmented)
         object.__setattr__(self, "_filter", filter)
 
-    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
-        """Start from N(mean, cov) and zero biases."""
-        return self._filter.init(*self._augmented.augment(mean, cov))
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Any:
+        """Start from N(mean, cov) and zero biases; `keys` are for a filter that draws numbers."""
+        return start(self._filter, *self._augmented.augment(mean, cov), keys)
 
     def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """The estimate x̂, without the biases."""
@@ -86,7 +91,7 @@ class BiasFilter(OverFilter):
         return {name: (mean[:, i], std[:, i]) for i, name in enumerate(names)}
 
     def _build(self, augmented: Augmented) -> Estimator:
-        return registry.create(self.base, self.settings, augmented)
+        return registry.create("ekf", self.settings, augmented)
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,15 @@ class BiasEKF(BiasFilter):
 
 @dataclass(frozen=True)
 class BiasUKF(BiasFilter):
-    """UKF with sensor biases and unknown inputs as states; `settings` are those of `UKF`."""
+    """UKF, or another sigma-point filter, with sensor biases and unknown inputs as states.
 
-    base: ClassVar[str] = "ukf"
+    Attributes:
+        base: the filter, one of `bases`, or your own `package.module:Name`.
+    """
+
+    base: str = "ukf"
+    bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf")
+
+    def _build(self, augmented: Augmented) -> Estimator:
+        base(self, self.bases)
+        return registry.create(self.base, self.settings, augmented)

@@ -6,8 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import DimensionError
-from estbench.estimators.beliefs import Fault, check_prior
+from estbench.estimators.beliefs import Fault, check_prior, random_start
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import Correction, correct
@@ -148,10 +147,7 @@ def draw(
 ) -> tuple[Float[Array, "run size nx"], random.Keys, random.Keys, UInt[Faults, " run"]]:
     """Points x̂ ⊞ N(0, P), keys, counters, and faults where P has no square root."""
     check_prior(space, mean, cov)
-    keys = random.default_keys(len(mean)) if keys is None else np.asarray(keys, np.uint64)
-    if keys.shape != (len(mean),):
-        raise DimensionError(f"keys has shape {keys.shape}; expected one per run, {(len(mean),)}")
-    counter = np.zeros(len(mean), np.uint64)
+    keys, counter = random_start(len(mean), keys)
     error = random.gaussian(keys, counter, INITIAL, cov, size)
     failed = ~np.isfinite(error).all(axis=(-2, -1))
     fault = np.where(failed, Fault.COVARIANCE, Fault.NONE).astype(np.uint8)

@@ -8,12 +8,12 @@ import numpy as np
 
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.beliefs import Fault
+from estbench.estimators.beliefs import Fault, restart, start
 from estbench.estimators.protocol import Estimator, Innovation
 from estbench.estimators.settings import in_range, table
 from estbench.models.protocol import Channels, Model
 from estbench.models.scaled import ScaledNoise
-from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
+from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
 from estbench.spaces.linalg import cholesky, solve_lower, symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -77,10 +77,15 @@ class IMM:
         object.__setattr__(self, "_filters", filters)
         object.__setattr__(self, "_chain", self._markov_chain(len(filters)))
 
-    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Modes:
-        """Start every mode from N(mean, cov), with equal probabilities."""
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Modes:
+        """Start every mode from N(mean, cov), with equal probabilities and equal random numbers."""
         count = len(self._filters)
-        beliefs = tuple(f.init(mean, cov) for f in self._filters)
+        beliefs = tuple(start(f, mean, cov, keys) for f in self._filters)
         probability = np.full((len(mean), count), 1.0 / count)
         return self._settled(Modes(beliefs, probability, np.zeros(len(mean), np.uint8)))
 
@@ -95,7 +100,8 @@ class IMM:
         beliefs = []
         for j, filter in enumerate(self._filters):
             mixed = combine(self.model.space, means, covs, share[:, :, j])
-            beliefs.append(filter.predict(filter.init(*mixed), u, t, dt))
+            mode = restart(filter, belief.beliefs[j], *mixed)
+            beliefs.append(filter.predict(mode, u, t, dt))
         return self._settled(replace(belief, beliefs=tuple(beliefs), probability=probability))
 
     def update(

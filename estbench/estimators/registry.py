@@ -22,6 +22,7 @@ _BUILTIN = {
     "sr_ukf": "sr_ukf:SquareRootUKF",
     "ckf": "ckf:CKF",
     "ghkf": "ghkf:GHKF",
+    "rotated_ukf": "rotated_ukf:RotatedUKF",
     "enkf": "enkf:EnKF",
     "pf": "particle:ParticleFilter",
     "imm": "imm:IMM",

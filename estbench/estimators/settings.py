@@ -25,12 +25,17 @@ def in_range(
 ) -> None:
     """Raise unless the setting is a number in [low, high], or in (low, high] if `low_open`."""
     value = getattr(estimator, setting)
-    real = isinstance(value, int | float | np.integer | np.floating)
-    number = real and not isinstance(value, bool) and isfinite(value)
-    inside = number and (low < value <= high if low_open else low <= value <= high)
+    inside = _finite(value) and (low < value <= high if low_open else low <= value <= high)
     if not inside:
         bracket = "(" if low_open else "["
         raise _refusal(estimator, setting, f"a number in {bracket}{low:g}, {high:g}]")
+
+
+def below(estimator: Any, setting: str, bound: float) -> None:
+    """Raise unless the setting is a number below the bound."""
+    value = getattr(estimator, setting)
+    if not (_finite(value) and value < bound):
+        raise _refusal(estimator, setting, f"a number below {bound:g}")
 
 
 def whole(estimator: Any, setting: str, low: int, high: float = float("inf")) -> None:
@@ -40,6 +45,14 @@ def whole(estimator: Any, setting: str, low: int, high: float = float("inf")) ->
     if not (integer and low <= value <= high):
         most = "" if high == float("inf") else f" and at most {high}"
         raise _refusal(estimator, setting, f"an integer of at least {low}{most}")
+
+
+def base(estimator: Any, allowed: Sequence[str]) -> None:
+    """Raise unless the setting `base` is one of the filters allowed, or a user's own."""
+    if estimator.base not in allowed and ":" not in str(estimator.base):
+        raise _refusal(
+            estimator, "base", f"one of {', '.join(allowed)}, or your own as package.module:Name"
+        )
 
 
 def switch(estimator: Any, setting: str) -> None:
@@ -73,6 +86,12 @@ def scaled_rule(estimator: Any) -> None:
             f"{type(estimator).__name__}: kappa is {estimator.kappa!r}; n + kappa must be "
             f"positive, so use a value above {-n}"
         )
+
+
+def _finite(value: Any) -> bool:
+    """Whether a setting is a finite number, and not true or false."""
+    real = isinstance(value, int | float | np.integer | np.floating)
+    return real and not isinstance(value, bool) and isfinite(value)
 
 
 def _refusal(estimator: Any, setting: str, remedy: str) -> EstimatorError:

@@ -14,12 +14,12 @@ class SigmaPoints:
     """A cubature rule for N(0, I): Σ wᵢ g(ξᵢ) ≈ E g(ξ).
 
     Attributes:
-        points: ξ.
+        points: ξ; the same in every run, or of each run.
         mean_weights: weights of the mean; their sum is 1.
         cov_weights: weights of the covariance.
     """
 
-    points: Float[Array, "point n"]
+    points: Float[Array, "*run point n"]
     mean_weights: Float[Array, " point"]
     cov_weights: Float[Array, " point"]
 
@@ -71,6 +71,22 @@ class SigmaPoints:
         """Σ wᵢ aᵢ bᵢᵀ of two sets of residuals."""
         return (a * self.cov_weights[:, None]).mT @ b
 
+    def regress(
+        self, residual: Float[Array, "run point m"], cov: Float[Array, "run m m"]
+    ) -> tuple[Float[Array, "run m n"], Float[Array, "run m m"]]:
+        """Slope A of the linear regression of values on ξ, and the covariance Ω of its residuals.
+
+        A = Σ wᵢ rᵢ ξᵢᵀ, Ω = Σ wᵢ rᵢ rᵢᵀ - A Aᵀ: of all linear functions of ξ the one with the least
+        mean square error, and that error (Lefebvre, Bruyninckx & De Schutter 2002; Särkkä &
+        Svensson 2023, sec. 9.3).
+
+        Args:
+            residual: the values' residuals r.
+            cov: their covariance.
+        """
+        slope = (residual * self.cov_weights[:, None]).mT @ self.points
+        return slope, cov - slope @ slope.mT
+
 
 def scaled(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> SigmaPoints:
     """The scaled unscented rule with 2 n + 1 points (van der Merwe 2004, eq. 3.11-3.13).
@@ -92,8 +108,27 @@ def cubature(n: int) -> SigmaPoints:
 
     2 n points ± sqrt(n) eᵢ of equal weight 1/(2 n).
     """
-    root, weights = np.sqrt(n) * np.eye(n), np.full(2 * n, 0.5 / n)
-    return SigmaPoints(np.concatenate([root, -root]), weights, weights)
+    return symmetric(np.eye(n)[None])
+
+
+def symmetric(axes: Float[Array, "*run set n n"], centre_weight: float = 0.0) -> SigmaPoints:
+    """The mean of third-degree rules whose points lie on orthogonal axes, ± r uᵢ of equal weight.
+
+    r² = n/(1 - w₀), with w₀ the weight of the centre: second moments are exact for every w₀ < 1.
+
+    Args:
+        axes: the uᵢ as the rows of orthogonal matrices, one for each rule.
+        centre_weight: w₀; at 0 there is no point at the centre.
+    """
+    count, n = axes.shape[-3:-1]
+    axes = np.sqrt(n / (1.0 - centre_weight)) * axes
+    axes = axes.reshape(*axes.shape[:-3], count * n, n)
+    points = [axes, -axes]
+    weights = np.full(2 * count * n, (1.0 - centre_weight) / (2 * count * n))
+    if centre_weight:
+        points = [np.zeros((*axes.shape[:-2], 1, n)), *points]
+        weights = np.concatenate([[centre_weight], weights])
+    return SigmaPoints(np.concatenate(points, axis=-2), weights, weights)
 
 
 def gauss_hermite(n: int, order: int) -> SigmaPoints:

@@ -13,6 +13,9 @@ from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, symmetrize
 
+PREDICTION, MEASUREMENT = range(2)
+"""What sigma points are drawn for."""
+
 
 @dataclass(frozen=True, eq=False)
 class SigmaBelief(Gaussian):
@@ -33,10 +36,14 @@ class SigmaPointFilter(GaussianEstimator):
         redraw: whether new points are drawn from x̂⁻, P⁻ before the measurement update (source 003,
             eq. 11), so that their spread includes the process noise; otherwise the propagated
             points are used, and Q enters the update through P⁻ only.
+        omega: how often Ω, the covariance of the linearization error, is added to P⁻ and to S of
+            redrawn points; a subclass may make it a setting.
+        rule: the sigma points; those of one step are `rule_at`.
     """
 
     model: Model
     redraw: bool = True
+    omega: float = field(init=False, repr=False, default=0.0)
     rule: SigmaPoints = field(init=False, repr=False)
 
     def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Gaussian:
@@ -46,10 +53,12 @@ class SigmaPointFilter(GaussianEstimator):
 
     def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ and P⁻ from the propagated points, P⁻ += Q (source 003, eq. 10)."""
-        lower = cholesky(belief.cov)
-        points = self.rule.draw(self.model.space, belief.mean, lower)
+        lower, rule = cholesky(belief.cov), self.rule_at(belief, PREDICTION)
+        points = rule.draw(self.model.space, belief.mean, lower)
         points = self.model.transition(points, u, t, dt)
-        mean, _, cov = self.rule.moments(self.model.space, points)
+        mean, residual, cov = rule.moments(self.model.space, points)
+        if self.omega:
+            cov = cov + self.omega * rule.regress(residual, cov)[1]
         Q = self.model.process_noise(belief.mean, u, t, dt)
         prior = replace(
             belief, mean=mean, cov=symmetrize(cov + Q),
@@ -70,21 +79,29 @@ class SigmaPointFilter(GaussianEstimator):
         space, output = self.model.space, self.model.output(channels)
         fault = np.zeros(len(y), np.uint8)
         points = getattr(belief, "points", None)
+        redrawn, rule = points is None, self.rule_at(belief, MEASUREMENT)
         if points is None:
             lower = cholesky(belief.cov)
             fault = failed_factor(lower, belief.cov)
-            points = self.rule.draw(space, belief.mean, lower)
-            spread = self.rule.points @ lower.mT
+            points = rule.draw(space, belief.mean, lower)
+            spread = rule.points @ lower.mT
         else:
             spread = space.line.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
-        predicted, residuals, S = self.rule.moments(output, images)
+        predicted, residuals, S = rule.moments(output, images)
+        if self.omega and redrawn:
+            S = S + self.omega * rule.regress(residuals, S)[1]
         S = symmetrize(S + self.model.measurement_noise(t, channels))
-        cross = self.rule.cross(spread, residuals)
+        cross = rule.cross(spread, residuals)
         c = correct(output.minus(y, predicted), S, cross, mask)
         cov = symmetrize(belief.cov - c.reduction)
-        posterior = apply_correction(space, belief, c.delta, cov, np.where(fault, fault, c.fault))
-        return SigmaBelief(posterior.mean, posterior.cov, posterior.fault), c.innovation
+        prior = belief if redrawn else replace(belief, points=None)
+        fault = np.where(fault, fault, c.fault)
+        return apply_correction(space, prior, c.delta, cov, fault), c.innovation
+
+    def rule_at(self, belief: Gaussian, purpose: int) -> SigmaPoints:
+        """The sigma points for one belief and one purpose, PREDICTION or MEASUREMENT."""
+        return self.rule
 
 
 def failed_factor(

@@ -12,7 +12,7 @@ RunIndex = slice | Int[NDArray[np.intp], " _"]
 """Indices of runs, or `ALL`."""
 ALL = slice(None)
 
-DIVISIBLE = {"mean", "cov", "factor", "fault"}
+DIVISIBLE = {"mean", "cov", "factor", "fault", "keys", "counter"}
 """Fields that are known to have a leading run axis."""
 
 

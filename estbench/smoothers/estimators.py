@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.beliefs import Gaussian
+from estbench.estimators.beliefs import Gaussian, start
 from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
-from estbench.estimators.settings import in_range, table, whole
+from estbench.estimators.settings import base, in_range, table, whole
 from estbench.models.protocol import Model
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Float, Keys, UInt
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
@@ -41,16 +41,17 @@ class FilterThenSmooth(OverFilter):
 
     def __post_init__(self) -> None:
         table(self, "settings")
-        if self.base not in self.bases and ":" not in str(self.base):
-            raise EstimatorError(
-                f"{type(self).__name__}: base is {self.base!r}; use one of "
-                f"{', '.join(self.bases)}, or your own as package.module:Name"
-            )
+        base(self, self.bases)
         object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))
 
-    def init(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Any:
-        """The filter's start."""
-        return self._filter.init(mean, cov)
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> Any:
+        """The filter's start; `keys` are for a filter that draws random numbers."""
+        return start(self._filter, mean, cov, keys)
 
     def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, filtered or smoothed."""

@@ -6,6 +6,7 @@ from estbench.estimators.beliefs import Fault
 from estbench.estimators.biased import BiasEKF, BiasUKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.registry import create
+from estbench.estimators.rotated_ukf import RotatedUKF
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.ukf import UKF
 from estbench.models.augmented import Augmented
@@ -13,7 +14,12 @@ from estbench.models.linear import LinearModel
 from tests.estimators.test_enkf import start
 from tests.helpers import linear_model, mujoco_model, nonlinear_model, random_states
 
-PAIRS = [(BiasEKF, EKF), (BiasUKF, UKF)]
+
+def biased_rotated(model, **settings):
+    return BiasUKF(model, base="rotated_ukf", **settings)
+
+
+PAIRS = [(BiasEKF, EKF), (BiasUKF, UKF), (biased_rotated, RotatedUKF)]
 
 
 @pytest.mark.parametrize(("biased", "base"), PAIRS)

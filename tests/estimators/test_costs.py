@@ -64,6 +64,8 @@ SIGMA = (2 * N + 1, 2 * N + 1)
         ("ckf", {}, (2 * N, 2 * N)),
         ("ghkf", {"order": 2}, (2**N, 2**N)),
         ("ghkf", {"order": 3}, (3**N, 3**N)),
+        ("rotated_ukf", {}, (2 * N, 2 * N)),
+        ("rotated_ukf", {"rotations": 2, "centre_weight": 0.2}, (4 * N + 1, 4 * N + 1)),
         ("enkf", {"size": SIZE}, (SIZE, SIZE)),
         ("pf", {"size": SIZE, "regularization": 0.5}, (SIZE, SIZE)),
         ("imm", {}, (2 * (N + 1), 2 * (N + 1))),

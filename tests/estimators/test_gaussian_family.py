@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from estbench.estimators import beliefs
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.ckf import CKF
 from estbench.estimators.ekf import EKF
@@ -10,6 +11,7 @@ from estbench.estimators.ghkf import GHKF
 from estbench.estimators.iekf import IEKF
 from estbench.estimators.kf import KF
 from estbench.estimators.lkf import LKF
+from estbench.estimators.rotated_ukf import RotatedUKF
 from estbench.estimators.sr_ekf import SquareRootEKF
 from estbench.estimators.sr_ukf import SquareRootUKF
 from estbench.estimators.ukf import UKF
@@ -29,6 +31,8 @@ FAMILY = {
     "sr_ukf_downdated": lambda model: SquareRootUKF(model, alpha=0.5),
     "ckf": CKF,
     "ghkf": GHKF,
+    "rotated_ukf": RotatedUKF,
+    "rotated_ukf_thrice": lambda model: RotatedUKF(model, centre_weight=0.25, rotations=3),
 }
 family = pytest.mark.parametrize("name", FAMILY)
 
@@ -39,9 +43,11 @@ def start(seed, model, runs):
     return rng, mean, 0.1 * random_cov(rng, model.space.n, runs)
 
 
-def drive(name, model, mean, cov, ys, us, mask=None):
+def drive(name, model, mean, cov, ys, us, mask=None, rows=None):
+    """The rows are the numbers of the runs, by default 0, 1, ..."""
     estimator = FAMILY[name](model)
-    belief, innovations = estimator.init(mean, cov), []
+    keys = np.arange(len(mean)) if rows is None else rows
+    belief, innovations = beliefs.start(estimator, mean, cov, np.asarray(keys, np.uint64)), []
     for k, (y, u) in enumerate(zip(ys, us, strict=True)):
         belief = estimator.predict(belief, u, 0.1 * k, 0.1)
         belief, innovation = estimator.update(belief, y, u, 0.1 * (k + 1), None, mask)
@@ -142,8 +148,9 @@ def test_a_mask_is_the_model_without_the_component(name, model):
                 assert not innovation.residual[run].any()
             continue
         small, reduced, expected = drive(
-            name, without(model, mask), mean[row], cov[row], ys[:, row][..., mask], us[:, row]
-        )
+            name, without(model, mask), mean[row], cov[row], ys[:, row][..., mask], us[:, row],
+            rows=[run],
+        )  # fmt: skip
         close = {"rtol": 0, "atol": 1e-10}
         np.testing.assert_allclose(estimator.mean(belief)[row], small.mean(reduced), **close)
         np.testing.assert_allclose(estimator.cov(belief)[row], small.cov(reduced), **close)
@@ -173,7 +180,8 @@ def test_a_failed_run_is_marked_and_leaves_the_others_alone(name):
     model = nonlinear_model(4)
     rng, mean, cov = start(4, model, 5)
     ys, us = rng.standard_normal((4, 5, 3)), rng.standard_normal((4, 5, 1))
-    alone, expected, _ = drive(name, model, mean[[0, 3]], cov[[0, 3]], ys[:, [0, 3]], us[:, [0, 3]])
+    few = [0, 3]
+    alone, expected, _ = drive(name, model, mean[few], cov[few], ys[:, few], us[:, few], rows=few)
     broken_mean, broken_ys = mean.copy(), ys.copy()
     broken_mean[1] = np.nan
     broken_ys[2, 2] = np.inf
@@ -188,7 +196,10 @@ def test_a_failed_run_is_marked_and_leaves_the_others_alone(name):
     np.testing.assert_allclose(cov[[0, 3]], alone.cov(expected), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["ukf", "sr_ekf", "sr_ukf", "sr_ukf_downdated", "ckf", "ghkf"])
+@pytest.mark.parametrize(
+    "name",
+    ["ukf", "sr_ekf", "sr_ukf", "sr_ukf_downdated", "ckf", "ghkf", "rotated_ukf"],
+)
 def test_an_indefinite_covariance_is_named(name):
     model = nonlinear_model(4)
     rng, mean, cov = start(5, model, 3)
@@ -244,9 +255,9 @@ def test_a_failed_run_leaves_the_others_alone_on_a_curved_state(name):
     x[1] = np.nan
     good = [0, 2]
 
-    def last(x, cov, y, u):
+    def last(x, cov, y, u, rows=(0, 1, 2)):
         estimator = FAMILY[name](model)
-        belief = estimator.init(x, cov)
+        belief = beliefs.start(estimator, x, cov, np.array(rows, np.uint64))
         for k in range(3):
             belief = estimator.predict(belief, u, 0.008 * k, 0.008)
             belief, _ = estimator.update(belief, y, u, 0.008 * (k + 1))
@@ -255,7 +266,7 @@ def test_a_failed_run_leaves_the_others_alone_on_a_curved_state(name):
     mean, P, fault = last(x, cov, y, u)
     np.testing.assert_array_equal(fault, [0, Fault.STATE, 0])
     assert np.isnan(mean[1]).all()
-    alone = last(x[good], cov[good], y[good], u[good])
+    alone = last(x[good], cov[good], y[good], u[good], good)
     np.testing.assert_allclose(mean[good], alone[0], rtol=0, atol=1e-11)
     np.testing.assert_allclose(P[good], alone[1], rtol=0, atol=1e-11)
 

@@ -12,7 +12,8 @@ from tests.helpers import OTHER, SAMPLED
 
 SMALL = ["estimators.enkf={size=20}", "estimators.pf={size=500}"]
 ALIKE = [
-    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "schmidt_ekf", "bias_ekf", "bias_ukf"),
+    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf"),
+    *("schmidt_ekf", "bias_ekf", "bias_ukf"),
     *("converted_ekf", "filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"),
 ]
 """With default settings, the EKF on a robot that hardly bends."""

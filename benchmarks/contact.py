@@ -1,0 +1,107 @@
+"""Filters on robots with feet on the ground: `python -m benchmarks.contact`.
+
+Five of Gymnasium's robots, shaken by random torques: encoders and a pose fix, an EKF, a UKF and
+the filters for contact on the same truth and readings. Prints the tables of docs/contact.md:
+NEES/n with its 95% interval, NIS/m, the RMSE of positions and velocities over the UKF's (geometric
+mean over the coordinates), and the cost.
+"""
+
+import argparse
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estbench.montecarlo import run as experiment
+from estbench.montecarlo.results import Results
+from estbench.robots import mjcf
+from estbench.scenario.schema import Scenario
+from estbench.tables.quantity import quantity
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "gymnasium"
+LIKE = {"walker2d": "hopper", "humanoid": "ant"}
+"""Robots without an example of their own -> the one that they are sensed and shaken like."""
+ROBOTS = ("hopper", "half_cheetah", "ant", "walker2d", "humanoid")
+VARIANTS: dict[str, dict[str, Any]] = {
+    "ekf": {},
+    "ukf": {},
+    "rotated_ukf": {},
+    "w0": {"type": "rotated_ukf", "centre_weight": 0.0},
+    "w0.25": {"type": "rotated_ukf", "centre_weight": 0.25},
+    "w0.5": {"type": "rotated_ukf", "centre_weight": 0.5},
+    "omega0": {"type": "rotated_ukf", "omega": 0.0},
+    "omega2": {"type": "rotated_ukf", "omega": 2.0},
+    "K2_omega0.5": {"type": "rotated_ukf", "rotations": 2, "omega": 0.5},
+    "K4_omega0": {"type": "rotated_ukf", "rotations": 4, "omega": 0.0},
+    "w0.25_omega0.5": {"type": "rotated_ukf", "omega": 0.5, "centre_weight": 0.25},
+}
+"""Label -> settings; those of one type show what its settings do."""
+
+
+def scenario(robot: str) -> dict[str, Any]:
+    """The example of a robot, or one made from the example of another robot."""
+    data = tomllib.loads((EXAMPLES / f"{LIKE.get(robot, robot)}.toml").read_text(encoding="utf-8"))
+    if robot in LIKE:
+        path = f"gymnasium:envs/mujoco/assets/{robot}.xml"
+        data["name"], data["model"]["path"] = robot, path
+        del data["description"]
+        data["channels"] = channels(data["channels"], path)
+    return data
+
+
+def channels(known: dict[str, Any], path: str) -> dict[str, Any]:
+    """The channels of the root, and an encoder on each joint of another robot."""
+    names = [joint.name for joint in mjcf.read(path).joints if not joint.name.startswith("root")]
+    encoder = next(c for c in known.values() if not c["add"]["object"].startswith("root"))
+    encoders = {
+        f"{name}_encoder": {**encoder, "add": {"type": "jointpos", "object": name}}
+        for name in names
+    }
+    root = {
+        k: c for k, c in known.items() if c["add"]["object"] in ("rootx", "rootz", "rooty", "torso")
+    }
+    return encoders | root
+
+
+def rows(results: Results) -> list[str]:
+    """Lines of a Markdown table."""
+    names = np.array(results.names)
+    speeds = np.char.endswith(names, ".vel") | np.char.startswith(names, "root.v")
+    speeds |= np.char.startswith(names, "root.w")
+    peer = np.array([i.value for i in results["ukf"].rmse])
+    lines = []
+    for s in results.summaries:
+        ratio = np.log(np.array([i.value for i in s.rmse]) / peer)
+        over = [f"{np.exp(ratio[which].mean()):.2f}" for which in (~speeds, speeds)]
+        cells = [f"`{s.label}`", str(s.verdict), quantity(s.anees), quantity(s.anis)]
+        cells += [f"{s.diverged:.0%}", *over, f"{s.cost:.0f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--duration", type=float, default=2.0, help="s")
+    parser.add_argument("--seeds", nargs="*", type=int, default=[0])
+    parser.add_argument("--robots", nargs="*", default=ROBOTS, choices=ROBOTS)
+    parser.add_argument("--only", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--set", nargs="*", default=[], help="settings of the scenario, KEY=VALUE")
+    args = parser.parse_args()
+    head = ["estimator", "verdict", "NEES/n", "NIS/m", "diverged", "positions", "velocities", "µs"]
+    for robot in args.robots:
+        for seed in args.seeds:
+            data = scenario(robot) | {"estimators": {k: VARIANTS[k] for k in ("ukf", *args.only)}}
+            results = experiment.run(
+                Scenario.model_validate(data), runs=args.runs, seed=seed, duration=args.duration,
+                overrides=args.set, keep="summary",
+            )  # fmt: skip
+            print(f"\n## {robot}, seed {seed}, {args.runs} runs of {args.duration:g} s")
+            print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|")
+            print("\n".join(rows(results)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
