@@ -26,6 +26,7 @@ class Task:
         alive: reward of a step that stays within the bounds.
         bounds: largest |eᵢ| `(n,)`, inf where there is none.
         steps: the horizon in steps of the environment.
+        limits: range of the controls.
     """
 
     plant: Plant
@@ -35,6 +36,7 @@ class Task:
     alive: float
     bounds: Array
     steps: int
+    limits: ControlRange
 
     @classmethod
     def build(cls, scenario: Scenario, plant: Plant) -> "Task":
@@ -65,27 +67,33 @@ class Task:
             alive=section.alive,
             bounds=expand(section.bounds, names, "task.bounds", np.inf),
             steps=max(1, round(horizon / plant.period)),
+            limits=ControlRange.of(plant.model),
             **weights,
         )
 
     def cost(self, x: Array, u: Array) -> Array:
         """Σ wᵢ eᵢ² + Σ rⱼ ũⱼ² `(row,)` of states `(row, nx)` and applied controls `(row, nu)`."""
-        e = self.plant.space.minus(x, self.goal)
-        effort = ControlRange.of(self.plant.model).clamp(u) - self.plant.u0
-        return (self.state_weight * e * e).sum(axis=-1) + (
-            self.control_weight * effort * effort
-        ).sum(axis=-1)
+        return self._cost(self.plant.space.minus(x, self.goal), u)
 
     def outside(self, x: Array) -> NDArray[np.bool_]:
         """Rows whose state is out of bounds or not finite `(row,)`."""
-        near = np.abs(self.plant.space.minus(x, self.goal)) <= self.bounds
-        return np.logical_not(near.all(axis=-1))
+        return self._outside(self.plant.space.minus(x, self.goal))
 
     def reward(self, x: Array, u: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Reward and whether the episode ends there `(row,)`.
 
         A state that MuJoCo could not compute costs nothing and earns nothing.
         """
-        out = self.outside(x)
-        reward = np.where(out, 0.0, self.alive) - self.cost(x, u)
+        e = self.plant.space.minus(x, self.goal)
+        out = self._outside(e)
+        reward = np.where(out, 0.0, self.alive) - self._cost(e, u)
         return (np.nan_to_num(reward) if out.any() else reward), out
+
+    def _cost(self, e: Array, u: Array) -> Array:
+        effort = self.limits.clamp(u) - self.plant.u0
+        return (self.state_weight * e * e).sum(axis=-1) + (
+            self.control_weight * effort * effort
+        ).sum(axis=-1)
+
+    def _outside(self, e: Array) -> NDArray[np.bool_]:
+        return np.logical_not((np.abs(e) <= self.bounds).all(axis=-1))

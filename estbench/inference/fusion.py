@@ -17,7 +17,7 @@ from estbench.inference.inbox import Inbox
 from estbench.inference.innovations import InnovationLog, check
 from estbench.inference.run_subset import ALL, RunIndex, put, some, take, within
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.sampling import Delivery, divided
 from estbench.shapes import Array, Bool, Float, Ints, Mask
 from estbench.spaces.selection import select
 
@@ -80,6 +80,7 @@ class Fusion:
         self._estimator, self._inbox, self._delays = estimator, inbox, delays
         self._log, self._history = log, history
         self._memory = delays.window > 0 and delays.handling == "exact"
+        self._stamped = delays.handling == "exact" and not (delays.believed or delays.nominal)
         self._steps: list[_Step] = []  # the last of them, up to the window
         self._count = 0  # events so far
         self._began: list[tuple[Mask, Any]] = []
@@ -110,8 +111,8 @@ class Fusion:
         """
         k = self._count
         first: Ints | None = None
-        for delivery in arrived:
-            tick = self._stamp(event, delivery)
+        for delivery in arrived if self._stamped else divided(arrived):
+            tick = delivery.taken if self._stamped else self._stamp(event, delivery)
             if isinstance(tick, int) and tick >= event.tick:
                 self._inbox.add(k, delivery)
                 continue
@@ -122,16 +123,22 @@ class Fusion:
             self.belief = self._replayed(k, oldest, first)
         self.belief = self._predict(event, self.belief, u)
         step = _Step(event, u, self.belief, self._began)
-        if self._memory:
-            self._steps.append(step)
-            self._began = []
         self._count += 1
+        if not self._memory:
+            self.belief = self._update(k, step, self.belief)
+            self._inbox.clear()
+            return self._count
+        self._steps.append(step)
+        self._began = []
         self.belief = self._update(k, step, self.belief)
         return self._forget(event.tick)
 
     def _stamp(self, event: Event, delivery: Delivery) -> int | Ints:
-        """The tick to which the filter thinks a reading belongs; `(row,)` where the rows differ."""
-        channel, delays = delivery.channel, self._delays
+        """The tick to which the filter thinks the readings of one channel belong.
+
+        `(row,)` where the rows differ.
+        """
+        (channel,), delays = delivery.channels, self._delays
         if delays.handling == "naive":
             return event.tick
         if channel in delays.believed:

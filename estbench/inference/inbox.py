@@ -6,11 +6,11 @@ measurements, the second in the second: as few updates as there are readings.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.sampling import Delivery, divided
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.manifold import Manifold
 
@@ -24,8 +24,26 @@ class JointMeasurement:
     mask: Bool[Mask, "run m"] | None
 
 
-Layer = dict[str, tuple[Float[Array, "run ny"], Bool[Mask, " run"] | None]]
-"""Channel -> its readings, and the runs in which one has arrived; None for all."""
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """At most one reading of each channel in each run.
+
+    Attributes:
+        y: channel -> readings.
+        came: channel -> the runs in which one has arrived; a channel that is not here has arrived
+            in all.
+    """
+
+    y: dict[str, Float[Array, "run ny"]] = field(default_factory=dict)
+    came: dict[str, Bool[Mask, " run"]] = field(default_factory=dict)
+
+    def put(self, channel: str, y: Array, came: Mask | None) -> None:
+        """Set the readings of a channel."""
+        self.y[channel] = y
+        if came is not None:
+            self.came[channel] = came
+        else:
+            self.came.pop(channel, None)
 
 
 class Inbox:
@@ -37,55 +55,86 @@ class Inbox:
 
     def __init__(self, spaces: Mapping[str, Manifold]):
         self.spaces = dict(spaces)
+        # Until a second delivery comes to an instant, the first is a joint measurement as it is.
+        self._single: dict[int, Delivery] = {}
         self._filed: dict[int, list[Layer]] = {}
         self._joints: dict[int, list[JointMeasurement]] = {}
         self._orders: dict[tuple[str, ...], tuple[str, ...]] = {}
 
     def add(self, instant: int, delivery: Delivery) -> None:
         """File a delivery under the instant at which it is to be fused."""
+        if instant not in self._filed and instant not in self._single:
+            self._single[instant] = delivery
+            return
         self._joints.pop(instant, None)
+        before = self._single.pop(instant, None)
+        for part in divided((delivery,) if before is None else (before, delivery)):
+            self._file(instant, part)
+
+    def _file(self, instant: int, delivery: Delivery) -> None:
+        """File a delivery of one channel."""
         layers = self._filed.setdefault(instant, [])
-        channel, y = delivery.channel, delivery.y
-        came = delivery.mask
+        (channel,), y, came = delivery.channels, delivery.y, delivery.mask
         for layer in layers:
-            if channel not in layer:
-                layer[channel] = y, came
+            if channel not in layer.y:
+                layer.put(channel, y, came)
                 return
-            first, had = layer[channel]
+            had = layer.came.get(channel)
             if had is None:
                 continue
             came = np.ones(len(y), bool) if came is None else came
-            layer[channel] = np.where(had[:, None], first, y), had | came
+            layer.put(channel, np.where(had[:, None], layer.y[channel], y), had | came)
             came = came & had
             if not came.any():
                 return
-        layers.append({channel: (y, came)})
+        layers.append(Layer())
+        layers[-1].put(channel, y, came)
 
     def at(self, instant: int) -> list[JointMeasurement]:
         """The joint measurements of an instant, layer after layer."""
-        if instant not in self._filed:
-            return []
         if instant not in self._joints:
-            self._joints[instant] = [self._join(layer) for layer in self._filed[instant]]
+            if instant in self._single:
+                self._joints[instant] = [self._alone(self._single[instant])]
+            elif instant in self._filed:
+                self._joints[instant] = [self._join(layer) for layer in self._filed[instant]]
+            else:
+                return []
         return self._joints[instant]
+
+    def clear(self) -> None:
+        """Drop everything."""
+        self._single.clear()
+        self._filed.clear()
+        self._joints.clear()
 
     def forget(self, instant: int) -> None:
         """Drop what is filed before an instant that no reading can reach any more."""
-        for old in [i for i in self._filed if i < instant]:
-            del self._filed[old]
-            self._joints.pop(old, None)
+        for filed in (self._single, self._filed, self._joints):
+            for old in [i for i in filed if i < instant]:
+                del filed[old]
+
+    def _alone(self, delivery: Delivery) -> JointMeasurement:
+        """A delivery as a joint measurement."""
+        mask = delivery.mask
+        if mask is None or mask.all():
+            return JointMeasurement(delivery.channels, delivery.y, None)
+        m = sum(self.spaces[name].n for name in delivery.channels)
+        return JointMeasurement(delivery.channels, delivery.y, mask[:, None].repeat(m, axis=1))
 
     def _join(self, layer: Layer) -> JointMeasurement:
-        named = tuple(layer)
+        named = tuple(layer.y)
         if named not in self._orders:
-            self._orders[named] = tuple(name for name in self.spaces if name in layer)
+            self._orders[named] = tuple(name for name in self.spaces if name in layer.y)
         channels = self._orders[named]
-        parts = [layer[name] for name in channels]
-        y = np.concatenate([part for part, _ in parts], axis=1) if len(parts) > 1 else parts[0][0]
-        if all(came is None or came.all() for _, came in parts):
+        parts = [*map(layer.y.__getitem__, channels)]
+        y = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+        if not layer.came or all(came.all() for came in layer.came.values()):
             return JointMeasurement(channels, y, None)
         columns = [
-            np.broadcast_to(True if came is None else came[:, None], (len(y), self.spaces[name].n))
-            for name, (_, came) in zip(channels, parts)
+            np.broadcast_to(
+                layer.came[name][:, None] if name in layer.came else True,
+                (len(y), self.spaces[name].n),
+            )
+            for name in channels
         ]
         return JointMeasurement(channels, y, np.concatenate(columns, axis=1))

@@ -71,7 +71,11 @@ class LatestInnovations:
         if not self._revised:
             self.nis[rows] += innovation.nis
             self.dof[rows] += innovation.dof
-            self._show(channels, innovation, mask, rows)
+            residual = innovation.residual
+            if mask is None and channels == self._every and len(residual):
+                self.innovation[rows] = residual
+            else:
+                self._show(channels, innovation, mask, rows)
             return
         nis, dof, count = self._fused[k]
         nis[rows] += innovation.nis
@@ -115,9 +119,6 @@ class LatestInnovations:
     ) -> None:
         residual = innovation.residual
         if not np.size(residual):  # an estimator may have none
-            return
-        if mask is None and channels == self._every:
-            self.innovation[rows] = residual
             return
         start = 0
         for name in channels:

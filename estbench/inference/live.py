@@ -98,8 +98,13 @@ class LiveFilter:
             cov: P₀ `(row, n, n)` likewise.
             keys: random keys `(row,)` for estimators that draw random numbers.
         """
-        with quiet():
-            self._guard(lambda: self._begin(rows, mean, cov, keys))
+        try:
+            with quiet():
+                self._begin(rows, mean, cov, keys)
+        except EstbenchError:
+            raise
+        except Exception as error:  # a user's estimator may raise anything
+            raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
         self.estimate[rows], self.cov[rows], self.failed[rows] = mean[rows], cov[rows], False
         self.innovation[rows], self.nis[rows], self.dof[rows] = 0.0, 0.0, 0
 
@@ -110,8 +115,13 @@ class LiveFilter:
 
     def step(self, event: Event, u: Float[Array, "row nu"], arrived: Sequence[Delivery]) -> None:
         """Go on to the end of an event under controls u `(row, nu)`; fuse what arrives there."""
-        for cohort in self._cohorts:
-            self._guard(lambda cohort=cohort: self._advance(cohort, event, u, arrived))
+        try:
+            for cohort in self._cohorts:
+                self._advance(cohort, event, u, arrived)
+        except EstbenchError:
+            raise
+        except Exception as error:  # a user's estimator may raise anything
+            raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
 
     def settle(self) -> None:
         """Take estimates, covariances and innovations from the beliefs at the end of a step."""
@@ -229,14 +239,6 @@ class LiveFilter:
             return quadratic_form(self.cov, error)
         *_, solved, fault = dposv(self.cov[0], error[0])  # a fifth of the time, for one row
         return np.array([error[0] @ solved if fault == 0 else np.nan])
-
-    def _guard(self, call: Any) -> None:
-        try:
-            call()
-        except EstbenchError:
-            raise
-        except Exception as error:  # a user's estimator may raise anything
-            raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
 
 
 def _of(delivery: Delivery, rows: Ints, going: Mask) -> Delivery | None:

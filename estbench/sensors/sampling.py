@@ -5,10 +5,9 @@ its own clock, which starts at the tick at which its episode begins. Every rando
 the stream of the run that a row is in, so a run is the same in any company.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -27,21 +26,39 @@ NEVER = int(np.iinfo(np.int64).max)
 
 @dataclass(frozen=True, eq=False)
 class Delivery:
-    """Readings of one channel, taken at one tick, that arrive at one tick.
+    """Readings of channels that are sampled together, taken at one tick, that arrive at one tick.
 
     Attributes:
-        channel: its name.
+        channels: their names, in the measurement's order.
         due: tick at which they were due; `(row,)` where the rows differ.
-        y: `(row, ny)`; only the rows of `mask` mean anything.
+        y: of one channel after the other `(row, ny)`; only the rows of `mask` mean anything.
         mask: rows whose reading arrives now `(row,)`; None means all.
         taken: tick at which they were taken; without jitter `due`.
+        widths: numbers in the reading of each channel; empty where there is one channel.
     """
 
-    channel: str
+    channels: tuple[str, ...]
     due: int | Int[Ints, " row"]
     y: Float[Array, "row ny"]
     mask: Bool[Mask, " row"] | None
     taken: int
+    widths: tuple[int, ...] = ()
+
+    def divided(self) -> Iterator["Delivery"]:
+        """One delivery for each channel."""
+        if len(self.channels) == 1:
+            yield self
+            return
+        start = 0
+        for name, width in zip(self.channels, self.widths):
+            stop = start + width
+            yield replace(self, channels=(name,), y=self.y[:, start:stop], widths=())
+            start = stop
+
+
+def divided(deliveries: Iterable[Delivery]) -> list[Delivery]:
+    """The same deliveries, one for each channel."""
+    return [part for delivery in deliveries for part in delivery.divided()]
 
 
 class Sampler:
@@ -51,6 +68,10 @@ class Sampler:
         channels: one, or several that are `alike`.
         rows: how many.
         last: tick after which no reading is due; None for no end.
+
+    Attributes:
+        channels: those given.
+        width: numbers in a reading of all of them.
     """
 
     def __init__(self, channels: Sequence[Channel], rows: int, last: int | None = None):
@@ -58,8 +79,9 @@ class Sampler:
         self.channels, self.channel = tuple(channels), channel
         self._rows, self._last = rows, last
         self._space = channel.space if len(channels) == 1 else product([c.space for c in channels])
-        stops = np.cumsum([0, *(c.space.nx for c in channels)]).tolist()
-        self._points = [slice(a, b) for a, b in pairwise(stops)]
+        self.width = self._space.nx
+        self._names = tuple(c.name for c in channels)
+        self._widths = tuple(c.space.nx for c in channels)
         timing, name, m, part = channel.timing, channel.name, channel.space.n, channel.imperfections
         block = BLOCK if last is None else len(timing.due(last))
         widths = {f"sensor:{c.name}": c.space.n for c in channels}
@@ -135,11 +157,10 @@ class Sampler:
             moved: rows for which time has passed `(row,)`; None is all.
         """
         if clean is not None:
-            deliveries, number = self._take(tick, clean, moved)
+            delivery, number = self._take(tick, clean, moved)
             if not self._late:
-                return deliveries
-            for delivery in deliveries:
-                self._send(delivery, number)
+                return [delivery]
+            self._send(delivery, number)
         return self._receive(tick, moved) if tick >= self._soonest else []
 
     def _receive(self, tick: int, moved: Mask | None) -> list[Delivery]:
@@ -163,9 +184,7 @@ class Sampler:
         self._soonest = min((at for at, _ in waiting), default=NEVER)
         return arrived
 
-    def _take(
-        self, tick: int, clean: Array, moved: Mask | None
-    ) -> tuple[list[Delivery], int | Ints]:
+    def _take(self, tick: int, clean: Array, moved: Mask | None) -> tuple[Delivery, int | Ints]:
         """The readings that are due, and the number of each row's."""
         if self._shared is not None and moved is None:
             due, here, number = self._shared, None, self._shared_number
@@ -181,10 +200,7 @@ class Sampler:
                 self._plan(taking)
                 taking = taking & (self._next <= tick)
         mask = got if here is None else here if got is None else here & got
-        if len(self.channels) == 1:
-            return [Delivery(self.channel.name, due, y, mask, tick)], number
-        parts = zip(self.channels, self._points)
-        return [Delivery(c.name, due, y[:, point], mask, tick) for c, point in parts], number
+        return Delivery(self._names, due, y, mask, tick, self._widths), number
 
     def _send(self, delivery: Delivery, number: int | Ints) -> None:
         """Put readings on their way, those that arrive together as one delivery."""

@@ -10,7 +10,7 @@ from estbench.randomness.streams import Seeds
 from estbench.robots.backend import Backend
 from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
-from estbench.sensors.sampling import Delivery, Sampler, alike
+from estbench.sensors.sampling import Delivery, Sampler, alike, divided
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 from estbench.spaces.manifold import product
 
@@ -44,12 +44,8 @@ class SensorSuite:
         self.channels, self.space = tuple(channels), product([c.space for c in channels])
         self._model, self._backend, self._look = model, backend, look
         self._samplers = [Sampler(group, rows, last) for group in alike(channels)]
-        order = [c.name for sampler in self._samplers for c in sampler.channels]
-        names = [c.name for c in channels]
-        self._order = {} if order == names else {name: i for i, name in enumerate(names)}
         stops = np.cumsum([0, *(c.space.nx for c in channels)]).tolist()
         self._points = {c.name: slice(a, b) for c, a, b in zip(channels, stops, stops[1:])}
-        self._widths = [sum(c.space.nx for c in s.channels) for s in self._samplers]
         self._plans: dict[tuple[bool, ...], Plan] = {}
         self.latest = np.zeros((rows, self.space.nx))
 
@@ -110,16 +106,14 @@ class SensorSuite:
             y = self._read(self._plans[takes], t, x, u)
         out: list[Delivery] = []
         start = 0
-        for sampler, width, now in zip(self._samplers, self._widths, takes):
+        for sampler, now in zip(self._samplers, takes):
             clean = None
             if y is not None and now:
-                stop = start + width
+                stop = start + sampler.width
                 clean, start = y[:, start:stop], stop
             out += sampler.at(tick, clean, moved)
-        if self._order:  # as the measurement has them
-            out.sort(key=lambda delivery: self._order[delivery.channel])
         if self._look:
-            for delivery in out:
+            for delivery in divided(out):
                 self._note(delivery)
         return out
 
@@ -147,7 +141,7 @@ class SensorSuite:
         return plan.read(self._backend, x, u, t)
 
     def _note(self, delivery: Delivery) -> None:
-        point = self._points[delivery.channel]
+        point = self._points[delivery.channels[0]]
         if delivery.mask is None:
             self.latest[:, point] = delivery.y
         else:

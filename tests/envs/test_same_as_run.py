@@ -119,7 +119,7 @@ def test_the_rows_of_a_world_are_the_runs_of_a_batch(case, rows, monkeypatch):
         arrived = trajectory.deliveries
         assert len(heard) == len(arrived)
         for ours, theirs in zip(heard, arrived):
-            assert [d.channel for d in ours] == [d.channel for d in theirs]
+            assert [d.channels for d in ours] == [d.channels for d in theirs]
             for a, b in zip(ours, theirs):
                 came = np.ones(rows, bool) if b.mask is None else b.mask
                 np.testing.assert_array_equal(came, True if a.mask is None else a.mask)

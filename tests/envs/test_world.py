@@ -199,7 +199,7 @@ def test_a_failed_row_keeps_its_last_estimate_says_so_and_can_start_anew():
     np.testing.assert_array_equal(live.estimate, [[5, 5], [1, 1]])
     assert not live.failed.any()
     with pytest.raises(EstimatorError, match=r"Breaks raised KeyError: 'no update' \(.*in update"):
-        step(Delivery("y", 1, np.zeros((2, 1)), None, 1))
+        step(Delivery(("y",), 1, np.zeros((2, 1)), None, 1))
 
 
 def test_infos_are_copies():

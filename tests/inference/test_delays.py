@@ -14,6 +14,7 @@ from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
+from estbench.sensors.sampling import divided
 from estbench.simulation.sources import Recorded, Trajectory
 from tests.helpers import simulated
 
@@ -55,7 +56,7 @@ def run(prepared, trajectory, kind="ekf", rows=slice(None), **delays) -> Any:
     if rows != slice(None):
         trajectory = Trajectory(
             trajectory.x[:, rows], trajectory.u[:, rows],
-            [[of_rows(d, rows) for d in arrived] for arrived in trajectory.deliveries],
+            [[of_rows(d, rows) for d in divided(arrived)] for arrived in trajectory.deliveries],
         )  # fmt: skip
     estimator = registry.create(kind, {}, prepared.model())
     prior = np.tile(prepared.mean, (runs, 1)), np.tile(prepared.cov, (runs, 1, 1))
@@ -76,8 +77,8 @@ def retimed(trajectory, latency, silent=0):
     count = len(trajectory.deliveries)
     deliveries = [[] for _ in range(count)]
     for k, arrived in enumerate(trajectory.deliveries[: count - silent]):
-        for d in arrived:
-            late = latency(d.channel, k, d.y.shape[0])
+        for d in divided(arrived):
+            late = latency(d.channels[0], k, d.y.shape[0])
             mask = np.ones(len(late), bool) if d.mask is None else d.mask
             for steps in np.unique(late[mask]):
                 now = mask & (late == steps)
@@ -104,9 +105,9 @@ def count(trajectory, prepared):
     """Numbers that arrive, per run `(run,)`."""
     total = np.zeros(trajectory.x.shape[1], int)
     for arrived in trajectory.deliveries:
-        for d in arrived:
+        for d in divided(arrived):
             mask = np.ones(len(d.y), bool) if d.mask is None else d.mask
-            total = total + prepared.channel_spaces[d.channel].n * mask
+            total = total + prepared.channel_spaces[d.channels[0]].n * mask
     return total
 
 
@@ -149,7 +150,7 @@ def test_at_any_time_it_is_the_posterior_of_what_has_arrived_by_then(kind):
     for k in (15, 40, 70):
         known = [[] for _ in late.deliveries]
         for arrived in late.deliveries[: k + 1]:
-            for d in arrived:
+            for d in divided(arrived):
                 known[places[d.taken]].append(d)
         then = Trajectory(late.x[: k + 2], late.u[: k + 1], known[: k + 1])
         shorter = replace(prepared, instants=prepared.instants[: k + 1])
@@ -242,7 +243,7 @@ def test_equal_rates_are_the_single_rate_result_bit_for_bit():
     equal, same = recorded("cartpole_imu", *rates)
     assert equal.instants == plain.instants
     for a, b in zip(same.deliveries, trajectory.deliveries):
-        assert [d.channel for d in a] == [d.channel for d in b]
+        assert [d.channels for d in a] == [d.channels for d in b]
         for d, e in zip(a, b):
             np.testing.assert_array_equal(d.y, e.y)
     for kind in ("ekf", "ukf"):
@@ -261,10 +262,12 @@ def test_what_is_older_than_the_window_is_counted_and_not_fused():
     delayed = retimed(trajectory, fixed(steps))
     ticks = 5  # one physics step an instant
     handled = run(prepared, delayed, window=ticks)
-    arrived = sum(d.channel == "accel" for arrived in delayed.deliveries for d in arrived)
+    arrived = sum(d.channels == ("accel",) for a in delayed.deliveries for d in divided(a))
     assert arrived > 10
     np.testing.assert_array_equal(handled.late, arrived)
-    without = [[d for d in arrived if d.channel != "accel"] for arrived in delayed.deliveries]
+    without = [
+        [d for d in divided(arrived) if d.channels != ("accel",)] for arrived in delayed.deliveries
+    ]
     deaf = run(prepared, Trajectory(delayed.x, delayed.u, without), window=ticks)
     assert not deaf.late.any()
     np.testing.assert_array_equal(handled.mean, deaf.mean)
@@ -297,7 +300,7 @@ def test_naive_handling_takes_a_late_reading_for_a_current_one():
     delayed = retimed(trajectory, fixed({"accel": 4}))
     naive = run(prepared, delayed, handling="naive", window=50)
     shifted = [
-        [replace(d, due=instant.tick, taken=instant.tick) for d in arrived]
+        [replace(d, due=instant.tick, taken=instant.tick) for d in divided(arrived)]
         for instant, arrived in zip(prepared.instants, delayed.deliveries)
     ]
     expected = run(prepared, Trajectory(delayed.x, delayed.u, shifted))
@@ -324,7 +327,10 @@ def test_a_filter_that_knows_the_latency_but_sees_no_timestamp():
     np.testing.assert_array_equal(told.mean, knows.mean)
     wrong = run(prepared, delayed, window=10, believed={"accel": 2})
     shifted = [
-        [replace(d, taken=instant.tick - 2) if d.channel == "accel" else d for d in arrived]
+        [
+            replace(d, taken=instant.tick - 2) if d.channels == ("accel",) else d
+            for d in divided(arrived)
+        ]
         for instant, arrived in zip(prepared.instants, delayed.deliveries)
     ]
     expected = run(prepared, Trajectory(delayed.x, delayed.u, shifted), window=10)
@@ -336,11 +342,11 @@ def test_a_reading_with_jitter_carries_the_time_it_was_taken_or_was_due():
     prepared, trajectory = recorded()
     taken = run(prepared, trajectory, window=10)
     planned = run(prepared, trajectory, window=10, nominal=frozenset({"attitude"}))
-    apart = [d for arrived in trajectory.deliveries for d in arrived if due(d) != d.taken]
+    apart = [d for arrived in trajectory.deliveries for d in divided(arrived) if due(d) != d.taken]
     assert apart
-    assert {d.channel for d in apart} == {"attitude"}
+    assert {d.channels[0] for d in apart} == {"attitude"}
     np.testing.assert_array_equal(taken.dof.sum(axis=0), planned.dof.sum(axis=0))
-    moved = [[replace(d, taken=min(due(d), instant.tick)) for d in arrived]
+    moved = [[replace(d, taken=min(due(d), instant.tick)) for d in divided(arrived)]
              for instant, arrived in zip(prepared.instants, trajectory.deliveries)]  # fmt: skip
     expected = run(prepared, Trajectory(trajectory.x, trajectory.u, moved), window=10)
     np.testing.assert_allclose(planned.mean, expected.mean, atol=1e-12)
@@ -394,7 +400,7 @@ def test_a_reading_that_is_d_steps_late_costs_d_predicts(steps):
                 delays=Delays(window=window(prepared, 20)),
             )  # fmt: skip
         counts.append((Counting.predicts, Counting.updates))
-    arrivals = sum(d.channel == "position" for a in delayed.deliveries for d in a)
+    arrivals = sum(d.channels == ("position",) for a in delayed.deliveries for d in divided(a))
     assert counts[0][0] == len(prepared.instants)
     assert counts[1][0] - counts[0][0] == arrivals * (steps - 1)
     assert counts[1][1] - counts[0][1] <= arrivals * steps

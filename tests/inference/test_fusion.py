@@ -198,7 +198,7 @@ def test_the_shortest_window_holds_the_reading_before():
     belief = ekf.init(*start)
     for k in range(3):
         (i,) = instants(k)
-        late = [Delivery("a", 1, y, None, 1)] if i.tick == 2 else []
+        late = [Delivery(("a",), 1, y, None, 1)] if i.tick == 2 else []
         fusion.step(Event(i.tick, i), u, late)
         belief = ekf.predict(belief, u, i.start, i.end - i.start)
         if i.tick == 1:

@@ -10,7 +10,7 @@ RUNS = 3
 
 def delivery(channel, value, mask=None):
     y = np.full((RUNS, SPACES[channel].nx), float(value))
-    return Delivery(channel, 0, y, None if mask is None else np.array(mask, bool), 0)
+    return Delivery((channel,), 0, y, None if mask is None else np.array(mask, bool), 0)
 
 
 def test_nothing_has_come():

@@ -165,11 +165,11 @@ def test_the_nis_of_a_late_reading_is_the_joint_one_less_that_of_the_others():
     found = []
     for k in range(3):
         instant = Instant(k * 1.0, k + 1.0, 1, ("a", "b"), True, k + 1)
-        arrived = [Delivery("b", k + 1, y[k][:, 1:], None, k + 1)]
+        arrived = [Delivery(("b",), k + 1, y[k][:, 1:], None, k + 1)]
         if k != 1:
-            arrived.insert(0, Delivery("a", k + 1, y[k][:, :1], None, k + 1))
+            arrived.insert(0, Delivery(("a",), k + 1, y[k][:, :1], None, k + 1))
         if k == 2:  # `a` of the second event comes now, to two rows
-            arrived.append(Delivery("a", 2, y[1][:, :1], late, 2))
+            arrived.append(Delivery(("a",), 2, y[1][:, :1], late, 2))
         log.begin()
         log.settle(fusion.step(Event(k + 1, instant), u, arrived))
         found.append((log.nis.copy(), log.dof.copy(), log.innovation.copy()))

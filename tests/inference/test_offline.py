@@ -39,7 +39,7 @@ def test_the_beliefs_are_those_of_the_event_loop(name):
         Instant(*TIMES[k : k + 2].tolist(), 1, ("radar",), True, k + 1) for k in range(STEPS)
     ]
     readings = [
-        [] if missing[k].all() else [Delivery("radar", k + 1, y[k], ~missing[k], k + 1)]
+        [] if missing[k].all() else [Delivery(("radar",), k + 1, y[k], ~missing[k], k + 1)]
         for k in range(STEPS)
     ]
     source = Recorded(instants, Trajectory(np.zeros((STEPS + 1, RUNS, 2)), u, readings))

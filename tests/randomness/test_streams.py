@@ -7,6 +7,7 @@ from scipy import stats
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.randomness import seeding, streams
+from estbench.sensors.sampling import divided
 from estbench.simulation.sources import record
 from tests.helpers import driven
 
@@ -82,7 +83,7 @@ def recorded(overrides, runs=range(3)):
     overrides = [*overrides, "control={kind='sine', amplitude=0.4}"]  # feedback would round
     prepared = setup.build(experiment.resolve("cartpole", duration=0.2, overrides=overrides))
     trajectory = record(driven(prepared, runs))
-    named = [{d.channel: d.y for d in arrived} for arrived in trajectory.deliveries]
+    named = [{d.channels[0]: d.y for d in divided(arrived)} for arrived in trajectory.deliveries]
     return {name: np.array([each[name] for each in named]) for name in named[0]}, trajectory
 
 

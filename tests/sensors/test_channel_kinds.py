@@ -11,6 +11,7 @@ from estbench.experiment import setup
 from estbench.inference.event_loop import run_filter
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
+from estbench.sensors.sampling import divided
 from estbench.simulation.sources import Recorded, Trajectory
 from tests.helpers import simulated
 
@@ -68,7 +69,7 @@ def test_the_filter_knows_how_the_noise_of_sensors_taken_together_goes_together(
         for k, arrived in enumerate(trajectory.deliveries):
             t = prepared.instants[k].end
             clean = simulator.suite.clean([imu], t, trajectory.x[k + 1], trajectory.u[k])
-            noise += [d.y - clean for d in arrived if d.channel == "imu"]
+            noise += [d.y - clean for d in divided(arrived) if d.channels == ("imu",)]
     first, last = np.concatenate(noise)[:, [0, 3]].T
     # Correlation 0.4 of 250 pairs: Fisher's z has a std of 1/sqrt(247); refused below 1e-6.
     z = np.arctanh(np.corrcoef(first, last)[0, 1])
@@ -85,8 +86,8 @@ def test_a_function_of_the_state_is_fused_as_the_sensor_it_imitates(kind):
     trajectory = simulated(sensor, RUNS)
 
     def imitated(arrived):
-        (encoder,) = (d for d in arrived if d.channel == "cart_encoder")
-        rest = [d for d in arrived if d is not encoder]
+        (encoder,) = (d for d in divided(arrived) if d.channels == ("cart_encoder",))
+        rest = [d for d in divided(arrived) if d is not encoder]
         return [*rest, replace(encoder, channel="cart")]
 
     other = Trajectory(trajectory.x, trajectory.u, [imitated(a) for a in trajectory.deliveries])

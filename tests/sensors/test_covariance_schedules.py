@@ -16,6 +16,7 @@ from estbench.montecarlo import run as experiment
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.library import engine
 from estbench.sensors import schedules
+from estbench.sensors.sampling import divided
 from tests.helpers import simulated
 from tests.sensors import test_schedules as factors
 
@@ -77,7 +78,7 @@ def readings(prepared):
     trajectory, simulator = simulated(prepared, 4), prepared.simulator(range(4))
     gyro = [c for c in prepared.channels if c.name == "gyro"]
     places = {instant.tick: k for k, instant in enumerate(prepared.instants)}
-    taken = [d for a in trajectory.deliveries for d in a if d.channel == "gyro"]
+    taken = [d for a in trajectory.deliveries for d in divided(a) if d.channels == ("gyro",)]
     at = [places[d.taken] for d in taken]
     ends = [prepared.instants[k].end for k in at]
     with engine():

@@ -10,7 +10,7 @@ from estbench.experiment import setup
 from estbench.scenario.load import load
 from estbench.scenario.schema import ChannelSection
 from estbench.sensors import channel as sensors
-from estbench.sensors.sampling import Sampler
+from estbench.sensors.sampling import Sampler, divided
 from estbench.sensors.timing import instants
 from tests.helpers import SENSORS, arrived, sampled, simulated, zoo_model
 
@@ -222,7 +222,7 @@ def assert_sensordata(path, duration, *settings):
     original.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
     alive, clipped = set(), set()
     for k, instant in enumerate(prepared.instants):
-        arrived = {d.channel: d for d in trajectory.deliveries[k]}
+        arrived = {d.channels[0]: d for d in divided(trajectory.deliveries[k])}
         assert list(arrived) == [c.name for c in prepared.channels]
         for run in runs:
             data = mujoco.MjData(original)

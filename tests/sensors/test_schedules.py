@@ -9,6 +9,7 @@ from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
 from estbench.sensors import schedules
+from estbench.sensors.sampling import divided
 from tests.helpers import simulated
 
 HERE = __name__
@@ -109,7 +110,9 @@ def test_noise_and_its_r_follow_the_schedule(schedule, factors):
     readings = []
     for prepared in (noisy, calm):
         trajectory = simulated(prepared, 4)
-        readings.append([d.y for a in trajectory.deliveries for d in a if d.channel == "gyro"])
+        readings.append(
+            [d.y for a in trajectory.deliveries for d in divided(a) if d.channels == ("gyro",)]
+        )
     x, simulator = trajectory.x, calm.simulator(range(4))
     gyro = [c for c in calm.channels if c.name == "gyro"]
     R = calm.model().measurement_noise(0.0, ["gyro"])

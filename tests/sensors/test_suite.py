@@ -5,6 +5,7 @@ import pytest
 
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
+from estbench.sensors.sampling import divided
 
 HERE = __name__
 ROWS = 5
@@ -55,9 +56,9 @@ def test_readings_of_rows_on_different_clocks_are_of_their_own_time():
     seen = [{} for _ in range(ROWS)]
     for tick in range(30):
         if tick:
-            for d in many.read(tick, (tick - began)[:, None] * 0.01, x, u):
+            for d in divided(many.read(tick, (tick - began)[:, None] * 0.01, x, u)):
                 for row in range(ROWS) if d.mask is None else np.flatnonzero(d.mask):
-                    seen[row][d.channel, tick - began[row]] = d.y[row].tolist()
+                    seen[row][d.channels[0], tick - began[row]] = d.y[row].tolist()
         rows = np.flatnonzero(began == tick)
         if len(rows):
             many.start(rows, seed, rows.tolist(), tick, x, u)
@@ -67,9 +68,9 @@ def test_readings_of_rows_on_different_clocks_are_of_their_own_time():
         _, one = suite(*slow, rows=1)
         one.start(np.arange(1), seed, [row], 0, x[here], u[here])
         expected = {
-            (d.channel, tick): d.y[0].tolist()
+            (d.channels[0], tick): d.y[0].tolist()
             for tick in range(1, 30 - began[row])
-            for d in one.read(tick, tick * 0.01, x[here], u[here])
+            for d in divided(one.read(tick, tick * 0.01, x[here], u[here]))
         }
         assert {name for name, _ in expected} == {"gyro", "beacon", "accel"}
         assert seen[row] == expected
@@ -93,7 +94,7 @@ def test_a_look_is_the_start_and_what_arrives_follows():
     others = [0, 2, 3, 4]
     np.testing.assert_array_equal(many.latest[others], first[others])
     before = many.latest.copy()
-    arrived = {d.channel: d for d in many.read(3, np.full((ROWS, 1), 0.03), x, u)}
+    arrived = {d.channels[0]: d for d in divided(many.read(3, np.full((ROWS, 1), 0.03), x, u))}
     assert set(arrived) == {"cart_encoder", "accel"}
     start = 0
     for channel in prepared.channels:

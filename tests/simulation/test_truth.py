@@ -18,6 +18,7 @@ from estbench.scenario.schema import Draw
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.clock import Event
+from estbench.sensors.sampling import divided
 from estbench.sensors.timing import Instant
 from estbench.shapes import Array
 from estbench.simulation import sources, truth
@@ -84,7 +85,7 @@ def get_state(data):
 
 def readings(trajectory):
     """What arrived at each instant: {channel: y `(run, ny)`}."""
-    return [{d.channel: d.y for d in arrived} for arrived in trajectory.deliveries]
+    return [{d.channels[0]: d.y for d in divided(arrived)} for arrived in trajectory.deliveries]
 
 
 def noise(robots):
@@ -366,10 +367,10 @@ def test_rows_that_begin_at_different_times_are_the_runs_alone(kind, timed):
                 elapsed = event.tick - fleet.simulator.clocks.tick + fleet.simulator.clocks.elapsed
                 for row in range(fleet.rows) if event.rows is None else np.flatnonzero(event.rows):
                     said = [fleet.simulator.x[row].tolist()]
-                    for d in arrived:
+                    for d in divided(arrived):
                         if d.mask is None or d.mask[row]:
                             ago = event.tick - d.taken
-                            said.append((d.channel, ago, d.y[row].tolist()))
+                            said.append((d.channels[0], ago, d.y[row].tolist()))
                     yield row, int(fleet.runs[row]), int(elapsed[row]), said
 
     alone = {

@@ -13,6 +13,7 @@ from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
+from estbench.sensors.sampling import divided
 from estbench.simulation.sources import Recorded
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate
@@ -179,8 +180,8 @@ def test_map_is_the_function_on_the_filters_means():
     measured: list[list[Measurement]] = [[]]
     for k in range(10):
         _, arrived = source.advance(k, controls[k])
-        y = np.concatenate([d.y for d in arrived], axis=1)
-        measured.append([Measurement(y, controls[k], [d.channel for d in arrived])])
+        y = np.concatenate([d.y for d in divided(arrived)], axis=1)
+        measured.append([Measurement(y, controls[k], [d.channels[0] for d in divided(arrived)])])
     with engine():
         expected = map_estimate(
             prepared.model(), prior, controls, prepared.times.tolist(), measured,

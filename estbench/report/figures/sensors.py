@@ -13,6 +13,7 @@ from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.experiment.setup import Setup
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import ChannelDescription
+from estbench.sensors.sampling import divided
 from estbench.shapes import Array
 from estbench.simulation import sources
 from estbench.tables.destination import check_file
@@ -73,8 +74,8 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
         arrivals = [
             (int(np.ravel(d.due)[0]), d.taken, k, d.y[0])
             for k, arrived in enumerate(trajectory.deliveries)
-            for d in arrived
-            if d.channel == channel.name and (d.mask is None or d.mask[0])
+            for d in divided(arrived)
+            if d.channels == (channel.name,) and (d.mask is None or d.mask[0])
         ]
         due = {i.tick: i.end for i in setup.instants[:shown] if channel.name in i.channels}
         # What is still under way when the run ends is not lost.

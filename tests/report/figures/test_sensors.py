@@ -7,6 +7,7 @@ from estbench.errors import EstbenchError, StoreError
 from estbench.experiment import setup
 from estbench.report.figures import sensors as sensor_picture
 from estbench.scenario.load import resolve
+from estbench.sensors.sampling import divided
 from estbench.simulation.sources import record
 from tests.helpers import driven
 
@@ -26,7 +27,9 @@ def test_a_record_is_what_the_run_saw(delayed):
     position = records["position"]
     np.testing.assert_allclose(position.taken, [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_allclose(position.arrived, position.taken + 0.08)
-    came = [d.y[0] for a in trajectory.deliveries for d in a if d.channel == "position"]
+    came = [
+        d.y[0] for a in trajectory.deliveries for d in divided(a) if d.channels == ("position",)
+    ]
     np.testing.assert_array_equal(position.measured, came[:5])
     np.testing.assert_allclose(position.times, 0.005 * np.arange(1, 101))
     np.testing.assert_array_equal(position.true, trajectory.x[1:101, 0, :3])
