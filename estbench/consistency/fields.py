@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.consistency.blocks import Block, means
 from estbench.consistency.coverage import inside
 from estbench.inference.traces import Traces
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask, Shaped
@@ -15,6 +16,8 @@ from estbench.shapes import Array, Bool, Float, Int, Ints, Mask, Shaped
 Record = dict[str, NDArray[Any]]
 """Variables of one estimator by name."""
 
+STEADY = 1e-3
+"""A covariance whose log σ² changes by less during a run is constant."""
 RUN, STEP, EACH = ("run",), ("batch", "time"), ("run", "time")
 
 
@@ -52,13 +55,17 @@ class BatchTraces:
 
     Attributes:
         traces: time-major, `(time, run, ...)`.
+        times: of the instants and the start, s.
         settled: instants that count in averages over time.
         diverged: runs that count in no sum over runs.
+        blocks: of the settled instants.
     """
 
     traces: Traces
+    times: Float[Array, " time"]
     settled: Bool[Mask, " time"]
     diverged: Bool[Mask, " run"]
+    blocks: tuple[Block, ...]
 
     @property
     def n(self) -> int:
@@ -101,6 +108,57 @@ class BatchTraces:
         A run whose values are NaN from its failure on has the average NaN.
         """
         return values[self.settled].mean(axis=0)
+
+    @cached_property
+    def scaled(self) -> Float[Array, "time run n"]:
+        """e/σ; NaN where the filter reports no variance."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.traces.error / self.traces.std
+
+    @cached_property
+    def uncertain(self) -> Bool[Mask, "time run n"]:
+        """Where the filter reports a variance: a coordinate known exactly has none."""
+        return self.traces.std > 0
+
+    def in_blocks(
+        self, values: Float[Array, "time run *any"], counted: Bool[Mask, "..."]
+    ) -> Float[Array, "run block *any"]:
+        """Mean over the instants of each block; NaN where none counts."""
+        return means(values, counted, [b.members(self.times) for b in self.blocks])
+
+    def overall(self, values: Float[Array, "time run n"]) -> Float[Array, "run n"]:
+        """Mean over the settled instants at which the filter reports a variance."""
+        return means(values, self.uncertain, [self.settled])[:, 0]
+
+    def by_size(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
+        """Mean over the instants whose covariance is below the run's median, and over the others.
+
+        The size of a covariance is the mean over the coordinates of log σ², which is computed from
+        what the filter reports alone: the mean of NEES/n of a consistent filter is 1 in both. NaN
+        for a run whose covariance hardly changes (by less than `STEADY` in σ²).
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.where(self.uncertain, 2 * np.log(self.traces.std), 0.0)[self.settled]
+            size = size.mean(axis=-1)
+            small = size < np.median(size, axis=0)
+        changes = np.ptp(size, axis=0) > STEADY
+        chosen = values[self.settled]
+        every = [np.ones(len(chosen), bool)]
+        parts = [means(chosen, part & changes, every)[:, 0] for part in (small, ~small)]
+        return np.stack(parts, axis=-1)
+
+    def channel_nis(self) -> Float[Array, "run channel"]:
+        """Mean over the settled updates of NIS/m of each channel; NaN where none arrived."""
+        values = self.traces.channel_nis[self.settled[1:]]
+        lost = ~np.isfinite(self.traces.nis[self.settled[1:]]) & (
+            self.traces.dof[self.settled[1:]] > 0
+        )
+        counted = ~np.isnan(values) | lost[..., None]
+        return means(values, counted, [np.ones(len(values), bool)])[:, 0]
+
+    def summed(self, values: Shaped[NDArray[Any], "step run"]) -> Shaped[NDArray[Any], " run"]:
+        """Sum over the settled instants."""
+        return values[self.settled[1:]].sum(axis=0)
 
     def total(
         self, values: Shaped[NDArray[Any], "time run *any"]

@@ -6,6 +6,7 @@ traces, `full` the covariances and innovations.
 
 import numpy as np
 
+from estbench.consistency import blocks
 from estbench.consistency.coverage import SIGMAS
 from estbench.consistency.fields import (
     EACH,
@@ -33,6 +34,35 @@ SUMMARY: dict[str, Recorded] = {
         )
         for i, k in enumerate(SIGMAS)
     },
+    "nees_by_block": Recorded(
+        (*RUN, "block"), "f8", "average of NEES/n in each block of time",
+        lambda b: b.in_blocks(b.traces.nees / b.n, np.ones((len(b.times), 1), bool)),
+    ),
+    "nees_by_size": Recorded(
+        (*RUN, "size"), "f8",
+        "average of NEES/n where the covariance is below its median over the run, and elsewhere",
+        lambda b: b.by_size(b.traces.nees / b.n),
+    ),
+    "scaled_error": Recorded(
+        (*RUN, "block", "coordinate"), "f8", "average of error/σ in each block of time",
+        lambda b: b.in_blocks(b.scaled, b.uncertain),
+    ),
+    "scaled_square": Recorded(
+        (*RUN, "block", "coordinate"), "f8", "average of (error/σ)² in each block of time",
+        lambda b: b.in_blocks(b.scaled**2, b.uncertain),
+    ),
+    "channel_nis": Recorded(
+        (*RUN, "channel"), "f8",
+        "average of NIS/m of each channel, given those before it in the measurement",
+        lambda b: b.channel_nis(),
+    ),
+    "gated": Recorded(
+        RUN, "i8", "components of readings that the estimator's gate refused",
+        lambda b: b.summed(b.traces.gated),
+    ),
+    "received": Recorded(
+        RUN, "i8", "components of readings that arrived", lambda b: b.summed(b.traces.dof)
+    ),
     "fault": Recorded(
         RUN, "u1", "why the run failed (estbench.estimators.beliefs.Fault), 0 = it did not",
         lambda b: b.traces.fault,
@@ -74,7 +104,7 @@ SUMMARY: dict[str, Recorded] = {
         lambda b: b.total(b.variance),
     ),
 }  # fmt: skip
-SIZES = {"lag": LAGS + 1}
+SIZES = {"lag": LAGS + 1, "block": blocks.COUNT, "size": 2}
 """Dimensions that are the same for all scenarios."""
 COST = {
     "cpu_time": Recorded(
@@ -106,8 +136,8 @@ FULL = {
     ),
 }  # fmt: skip
 RESERVED = {
-    "run", "time", "coordinate", "coordinate_", "unit", "state", "reading", "reading_", "done",
-    "truth",
+    "run", "time", "block", "coordinate", "coordinate_", "unit", "channel", "state", "reading",
+    "reading_", "done", "truth",
 }  # fmt: skip
 """Names in a store beside the estimators' groups, so that no estimator may have one of them."""
 TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}
@@ -146,8 +176,10 @@ def reduce(
     lost = diverged_runs(normalized, section.divergence_threshold, window)
     batch = BatchTraces(
         traces=traces,
+        times=times,
         settled=(times > section.burn_in) & (times > 0),
         diverged=(traces.fault > 0) | lost,
+        blocks=blocks.blocks(times, section.burn_in),
     )
     recorded = SUMMARY | COST | _traces(keep)
     return {name: variable.of(batch) for name, variable in recorded.items()}

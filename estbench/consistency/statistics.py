@@ -20,6 +20,7 @@ from estbench.consistency.intervals import (
     wilson,
 )
 from estbench.consistency.nees import Verdict
+from estbench.consistency.skewness import skewness_interval
 from estbench.shapes import Array, Float
 
 COORDINATE = (*RUN, "coordinate")
@@ -75,6 +76,22 @@ LAG_ONE = Statistic(
         "lag_one": Recorded(
             RUN, "f8", "lag-one correlation of the whitened innovations",
             lambda b: b.traces.lag_one,
+        )
+    },
+)  # fmt: skip
+LOG_LIKELIHOOD = Statistic(
+    name="log_likelihood",
+    heading="log-lik.",
+    key="log_likelihood",
+    meaning="mean over runs of the log-likelihood of all readings of a run",
+    of=lambda s: mean_interval(s.converged("log_likelihood"), s.level),
+    phrase="log-likelihood",
+    note="log-lik.: of all readings of a run; larger is better, on the same readings only",
+    places={"run": "brief", "innovations": "full", "board_csv": "brief", "report": "full"},
+    variables={
+        "log_likelihood": Recorded(
+            RUN, "f8", "sum over the updates of the log-likelihood of the readings",
+            lambda b: b.summed(b.traces.log_likelihood),
         )
     },
 )  # fmt: skip
@@ -148,6 +165,43 @@ SIGMA = Statistic(
         )
     },
 )  # fmt: skip
+MEAN_ERROR = Statistic(
+    name="mean_error",
+    heading="mean error",
+    key="mean_error",
+    meaning="mean over time and runs of the error: the bias",
+    of=lambda s: tuple(mean_interval(column, s.level) for column in s.converged("mean_error").T),
+    per="coordinate",
+    unit="[c]",
+    ideal=0.0,
+    places={"run": "full", "compare": "full", "report": "full"},
+    narrow="mean\nerror",
+    variables={
+        "mean_error": Recorded(
+            COORDINATE, "f8", "time average of the error, (unit)",
+            lambda b: b.average(b.traces.error),
+        )
+    },
+)  # fmt: skip
+SKEW = Statistic(
+    name="skew",
+    heading="skew",
+    key="error_skewness",
+    meaning="skewness of the error over time and runs, with the jackknife's interval",
+    of=lambda s: tuple(
+        skewness_interval(np.stack(columns, axis=-1), s.level)
+        for columns in zip(*(s.converged(name).T for name in ("mean_error", "mse", "mean_cube")))
+    ),
+    per="coordinate",
+    ideal=0.0,
+    places={"run": "brief", "compare": "full", "report": "brief"},
+    variables={
+        "mean_cube": Recorded(
+            COORDINATE, "f8", "time average of the cubed error, (unit)³",
+            lambda b: b.average(b.traces.error**3),
+        )
+    },
+)  # fmt: skip
 COST = Statistic(
     name="cost",
     heading="µs/run-step",
@@ -164,7 +218,8 @@ COST = Statistic(
     narrow="µs/step",
 )
 STATISTICS: tuple[Statistic, ...] = (
-    ANEES, ANEES_MEDIAN, ANIS, LAG_ONE, DIVERGED, RMSE, RMSE_MEDIAN, SIGMA, COST,
+    ANEES, ANEES_MEDIAN, ANIS, LAG_ONE, LOG_LIKELIHOOD, DIVERGED, RMSE, RMSE_MEDIAN, SIGMA,
+    MEAN_ERROR, SKEW, COST,
 )  # fmt: skip
 """In the order in which tables, JSON and CSV show them."""
 
@@ -203,10 +258,13 @@ class Summary:
     anees_median: float
     anis: Interval
     lag_one: Interval
+    log_likelihood: Interval
     diverged_interval: Interval
     rmse: tuple[Interval, ...]
     rmse_median: Float[Array, " n"]
     std: Float[Array, " n"]
+    mean_error: tuple[Interval, ...]
+    skew: tuple[Interval, ...]
     cost: float
     failures: tuple[Failure, ...]
     late: int = 0

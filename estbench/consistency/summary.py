@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from estbench.consistency import statistics
-from estbench.consistency.declaration import Sample
+from estbench.consistency.declaration import Sample, Statistic
 from estbench.consistency.fields import Record
+from estbench.consistency.intervals import NONE
 from estbench.consistency.nees import judge
 from estbench.consistency.statistics import ANEES, DIVERGED, Failure, Summary
 from estbench.estimators.beliefs import Fault
@@ -32,7 +33,10 @@ def summarize(
         section: level and tolerance of the verdict.
     """
     sample = Sample(record, section.level, len(times) - 1)
-    values: dict[str, Any] = {s.name: s.of(sample) for s in statistics.STATISTICS}
+    values: dict[str, Any] = {
+        s.name: s.of(sample) if s.variables.keys() <= record.keys() else _unknown(s, record)
+        for s in statistics.STATISTICS
+    }
     anees, diverged = values[ANEES.name], values[DIVERGED.name]
     failures = (
         Failure(int(runs[i]), float(times[record["fault_step"][i]]), Fault(record["fault"][i]).text)
@@ -46,3 +50,9 @@ def summarize(
         late=int(record["late"].sum()),
         **values,
     )
+
+
+def _unknown(s: Statistic, record: Record) -> Any:
+    """The value of a statistic whose variables a store of an earlier version lacks."""
+    value = np.nan if s.form == "number" else NONE
+    return value if s.per == "run" else (value,) * record["mse"].shape[1]

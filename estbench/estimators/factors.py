@@ -136,9 +136,9 @@ def factor_innovation(
     if mask is not None:
         # QR leaves rounding errors in the rows of the identity.
         white = np.where(mask, white, 0.0)
-        S = pad_absent(S, mask)
+        S, root = pad_absent(S, mask), pad_absent(root, mask)
         dof = mask.sum(axis=-1)
-    return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof)
+    return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof, root)
 
 
 def cholesky_update(

@@ -9,6 +9,7 @@ import numpy as np
 from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.beliefs import Fault, restart, start
+from estbench.estimators.likelihood import log_likelihood
 from estbench.estimators.protocol import Estimator, Innovation
 from estbench.estimators.settings import in_range, table
 from estbench.models.protocol import Channels, Model
@@ -122,10 +123,11 @@ class IMM:
             for filter, b in zip(self._filters, belief.beliefs)
         ]
         innovations = [innovation for _, innovation in results]
-        likelihood = np.stack([log_likelihood(i) for i in innovations], axis=-1)
+        likelihood = np.stack([log_likelihood(i, mask) for i in innovations], axis=-1)
         likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
         peak = likelihood.max(axis=-1, keepdims=True)
-        weight = np.exp(likelihood - np.where(np.isfinite(peak), peak, 0.0))
+        peak = np.where(np.isfinite(peak), peak, 0.0)
+        weight = np.exp(likelihood - peak)
         posterior = replace(
             belief,
             beliefs=tuple(b for b, _ in results),
@@ -134,7 +136,9 @@ class IMM:
         prior = np.where(np.isfinite(likelihood), belief.probability, 0.0)
         total = prior.sum(axis=-1, keepdims=True)
         prior = np.where(total > 0, prior / np.where(total > 0, total, 1.0), np.nan)
-        return self._settled(posterior), _mixed_innovation(innovations, prior)
+        with np.errstate(divide="ignore"):
+            mixture = peak[:, 0] + np.log((prior * weight).sum(axis=-1))
+        return self._settled(posterior), _mixed_innovation(innovations, prior, mixture)
 
     def mean(self, belief: Modes) -> Float[Array, "run nx"]:
         """The mean x̂ of the mixture."""
@@ -243,18 +247,20 @@ def combine(
     return mean, symmetrize((weight[..., None, None] * spread).sum(axis=1))
 
 
-def log_likelihood(innovation: Innovation) -> Float[Array, " run"]:
-    """Log N(ν; 0, S); a component that did not arrive has unit variance and contributes nothing."""
-    diagonal = np.diagonal(cholesky(innovation.cov), axis1=-2, axis2=-1)
-    constant = innovation.dof * np.log(2.0 * np.pi)
-    return -0.5 * (innovation.nis + constant) - np.log(diagonal).sum(axis=-1)
+def _mixed_innovation(
+    innovations: Sequence[Innovation], weight: Array, mixture: Array
+) -> Innovation:
+    """ν and S of the mixture of predicted measurements with the modes' prior probabilities.
 
-
-def _mixed_innovation(innovations: Sequence[Innovation], weight: Array) -> Innovation:
-    """ν and S of the mixture of predicted measurements with the modes' prior probabilities."""
+    Args:
+        innovations: of the modes.
+        weight: prior probabilities `(run, mode)`.
+        mixture: log of the mixture's density at the reading `(run,)`.
+    """
     residuals = np.stack([i.residual for i in innovations], axis=1)
     covs = np.stack([i.cov for i in innovations], axis=1)
     residual, cov = combine(Manifold.euclidean(residuals.shape[-1]), residuals, covs, weight)
-    white = solve_lower(cholesky(cov), residual[..., None])[..., 0]
+    lower = cholesky(cov)
+    white = solve_lower(lower, residual[..., None])[..., 0]
     nis = np.einsum("ij,ij->i", white, white)
-    return Innovation(residual, cov, white, nis, innovations[0].dof)
+    return Innovation(residual, cov, white, nis, innovations[0].dof, lower, mixture)

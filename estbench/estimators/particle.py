@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.enkf import Ensemble, diffuse, draw
+from estbench.estimators.likelihood import log_normalization
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, whole
 from estbench.estimators.update import correct
@@ -86,7 +87,8 @@ class ParticleFilter:
     ) -> tuple[Particles, Innovation]:
         """Adds log N(y ⊖ h(xᵢ); 0, R) to log wᵢ, then resamples where it is due.
 
-        The innovation is that of the particles' prior mean and covariance.
+        The innovation is that of the particles' prior mean and covariance; its log-likelihood is
+        log Σᵢ wᵢ N(y ⊖ h(xᵢ); 0, R) (Särkkä & Svensson 2023, ch. 16).
         """
         output = self.model.output(channels)
         m = output.n
@@ -104,13 +106,15 @@ class ParticleFilter:
         residual = np.where(present[:, None], output.minus(y[:, None], images), 0.0)
         white = solve_lower(lower, residual.mT)
         gained = np.where(blind, -np.inf, -0.5 * (white**2).sum(axis=-2))
+        likelihood = _log_mean(belief, gained) - log_normalization(lower, present.sum(axis=-1))
         arrived = np.any(present, axis=-1, keepdims=True)
         counter = belief.counter + arrived[:, 0].astype(np.uint64)
         logs = np.where(arrived, belief.log_weights + gained, belief.log_weights)
         weighted = _settled(replace(belief, log_weights=logs))
         logs = np.where(arrived, weighted.log_weights, belief.log_weights)
         weighted = replace(weighted, log_weights=logs)
-        return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), c.innovation
+        innovation = replace(c.innovation, log_likelihood=likelihood)
+        return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), innovation
 
     def mean(self, belief: Particles) -> Float[Array, "run nx"]:
         """The weighted mean x̂ of the particles on the manifold."""
@@ -170,6 +174,16 @@ def systematic(
     rows = np.arange(runs)[:, None] * (size + 1)
     counts = np.bincount((below + rows).ravel(), minlength=runs * (size + 1))
     return np.cumsum(counts.reshape(runs, size + 1)[:, :size], axis=-1)
+
+
+def _log_mean(belief: Particles, gained: Array) -> Float[Array, " run"]:
+    """Log Σᵢ wᵢ exp(gᵢ) of each run; -inf where no particle has a finite g `(run, particle)`."""
+    logs = belief.log_weights + gained
+    peak = logs.max(axis=-1)
+    shift = np.where(np.isfinite(peak), peak, 0.0)
+    with np.errstate(divide="ignore"):
+        total = np.log(np.exp(logs - shift[:, None]).sum(axis=-1))
+    return shift + total
 
 
 def _weights(belief: Particles) -> Array:

@@ -18,6 +18,10 @@ class Innovation:
         white: L⁻¹ ν with S = L Lᵀ; standard normal for a consistent filter.
         nis: νᵀ S⁻¹ ν.
         dof: number of components that arrived.
+        factor: L, with the rows of the identity where a component did not arrive; None if the
+            estimator does not show it.
+        log_likelihood: log p(y | earlier readings) where that is not log N(ν; 0, S); else None.
+        gated: number of components that arrived and that the estimator did not use; else None.
     """
 
     residual: Float[Array, "run m"]
@@ -25,6 +29,9 @@ class Innovation:
     white: Float[Array, "run m"]
     nis: Float[Array, " run"]
     dof: Int[Ints, " run"]
+    factor: Float[Array, "run m m"] | None = None
+    log_likelihood: Float[Array, " run"] | None = None
+    gated: Int[Ints, " run"] | None = None
 
 
 @runtime_checkable

@@ -1,6 +1,6 @@
 """EKF for measurements with outliers: gates, Huber's loss, or Student-t measurement noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -78,7 +78,10 @@ class RobustEKF(EKF):
         first = correct(residual, spread + R, PHt, mask)
         raw, belief = first.innovation, mark_failed(belief, first.fault)
         if self.method.startswith("gate"):
-            mask = self._passed(raw) if mask is None else mask & self._passed(raw)
+            passed = self._passed(raw)
+            refused = ~passed if mask is None else mask & ~passed
+            raw = replace(raw, gated=np.count_nonzero(refused, axis=-1))
+            mask = passed if mask is None else mask & passed
         else:
             R = self._enlarged(R, residual, spread, raw.dof)
         return linear_update(space, belief, residual, H, R, mask)[0], raw

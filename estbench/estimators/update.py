@@ -80,7 +80,7 @@ def correct(
     if not surely_finite(nis):
         factored = np.isfinite(lower[:, 0, 0])
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
-    innovation = Innovation(residual, S, white, nis, dof)
+    innovation = Innovation(residual, S, white, nis, dof, lower)
     return Correction(delta, innovation, fault, W, joint[..., n + 1 :])
 
 

@@ -1,4 +1,4 @@
-"""What is recorded of every update: NIS, lag products, and ν and S themselves where asked for."""
+"""What is recorded of every update: NIS, log-likelihood, lags, and ν and S where asked for."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from estbench.errors import DimensionError, EstimatorError
+from estbench.estimators.likelihood import log_likelihood
 from estbench.estimators.protocol import Innovation
 from estbench.inference.lags import Lags
 from estbench.inference.run_subset import RunIndex
@@ -101,6 +102,7 @@ class Innovations:
         self._columns = {name: np.arange(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
         self.rows = runs
         self._nis, self._dof = np.zeros((count, runs)), np.zeros((count, runs), np.int64)
+        self._likelihood, self._gated = np.zeros_like(self._nis), np.zeros_like(self._dof)
         self._lags = Lags(runs, {name: space.n for name, space in spaces.items()})
         shape = count + 1, runs, stops[-1]
         self._kept = (np.full(shape, np.nan), np.full((*shape, shape[-1]), np.nan)) if keep else ()
@@ -108,6 +110,7 @@ class Innovations:
     def clear(self, k: int, rows: RunIndex) -> None:
         """Forget what some runs had at instant k."""
         self._nis[k, rows], self._dof[k, rows] = 0.0, 0
+        self._likelihood[k, rows], self._gated[k, rows] = 0.0, 0
         for kept in self._kept:
             kept[k + 1, rows] = np.nan
 
@@ -124,8 +127,8 @@ class Innovations:
 
         Args:
             k: the instant at which the readings belong.
-            layer: of the instant's updates; of two readings of one component NIS has the sum, ν and
-                S the last.
+            layer: of the instant's updates; of two readings of one component NIS and the
+                log-likelihood have the sum, ν and S the last.
             channels: that were fused.
             innovation: of some runs.
             mask: of those runs, True where a component arrived; None means everywhere.
@@ -133,6 +136,10 @@ class Innovations:
         """
         self._nis[k, rows] += innovation.nis
         self._dof[k, rows] += innovation.dof
+        self._likelihood[k, rows] += log_likelihood(innovation, mask)
+        gated = getattr(innovation, "gated", None)
+        if gated is not None:
+            self._gated[k, rows] += gated
         fused = np.reshape(innovation.dof, (-1, 1)) > 0
         if not fused.all():  # a start gathers readings before it fuses any
             mask = fused if mask is None else mask & fused
@@ -168,6 +175,9 @@ class Innovations:
         return {
             "nis": np.where(self._dof > 0, self._nis, np.nan),
             "dof": self._dof,
+            "log_likelihood": np.where(self._dof > 0, self._likelihood, 0.0),
+            "gated": self._gated,
+            "channel_nis": self._lags.nis(len(self._nis)),
             "lags": lags,
             "lag_terms": lag_terms,
             "innovation": residual,

@@ -101,28 +101,58 @@ class Lags:
         sums = np.zeros((self._runs, LAGS + 1))
         terms = np.zeros((self._runs, LAGS + 1), np.int64)
         for name in self._widths:
-            white, count = self._series(name)
+            white, count = self._in_order(*self._arrivals(name)[1:])
             for lag in range(min(LAGS + 1, white.shape[-1])):
                 ahead, behind = white[..., lag:], white[..., : white.shape[-1] - lag]
                 sums[:, lag] += (ahead * behind).sum(axis=(-2, -1))
                 terms[:, lag] += np.maximum(count - lag, 0).sum(axis=-1)
         return sums, terms
 
-    def _series(self, name: str) -> tuple[Float[Array, "run m arrival"], Int[Ints, "run m"]]:
-        """A channel's arrivals in order, zeros after the last, and how many."""
+    def nis(self, count: int) -> Float[Array, "step run channel"]:
+        """NIS/m of each channel at each instant, NaN where nothing of it arrived.
+
+        Of channels fused together it is the sum of ν̃² over the channel's components, divided by
+        their number: NIS of the channel given those before it in the measurement, so that the sums
+        of all channels add up to NIS.
+
+        Args:
+            count: of instants.
+        """
+        out = np.full((count, self._runs, len(self._widths)), np.nan)
+        for i, name in enumerate(self._widths):
+            instants, white, came = self._arrivals(name)
+            square, number = np.zeros((2, count, self._runs))
+            np.add.at(square, instants, np.where(came, white**2, 0.0).sum(axis=-1))
+            np.add.at(number, instants, came.sum(axis=-1))
+            np.divide(square, number, out=out[..., i], where=number > 0)
+        return out
+
+    def _arrivals(
+        self, name: str
+    ) -> tuple[Int[Ints, " arrival"], Float[Array, "arrival run m"], Bool[Mask, "arrival run m"]]:
+        """The instants at which a channel arrived in any run, ν̃, and in which runs it arrived."""
         width = self._widths[name]
+        instants: list[int] = []
         whites, masks = [np.empty((0, self._runs, width))], [np.empty((0, self._runs, width), bool)]
         for key in sorted(self._noted):
             channels, white, mask = self._noted[key]
             if name in channels:
                 part = np.s_[:, self._columns(channels, name)]
+                instants.append(key[0])
                 whites.append(white[part][None])
                 masks.append(
                     np.ones((1, self._runs, width), bool) if mask is None else mask[part][None]
                 )
+        return np.array(instants, np.int64), np.concatenate(whites), np.concatenate(masks)
+
+    @staticmethod
+    def _in_order(
+        white: Float[Array, "arrival run m"], came: Bool[Mask, "arrival run m"]
+    ) -> tuple[Float[Array, "run m arrival"], Int[Ints, "run m"]]:
+        """A channel's arrivals in order, zeros after the last, and how many."""
         # Time last: a run's sums are then the same, to the last bit, whatever shares its batch.
-        white = np.ascontiguousarray(np.moveaxis(np.concatenate(whites), 0, -1))
-        came = np.moveaxis(np.concatenate(masks), 0, -1)
+        white = np.ascontiguousarray(np.moveaxis(white, 0, -1))
+        came = np.moveaxis(came, 0, -1)
         if not came.all():
             order = np.argsort(~came, axis=-1, kind="stable")
             white = np.take_along_axis(np.where(came, white, 0.0), order, axis=-1)

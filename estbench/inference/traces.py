@@ -27,6 +27,9 @@ class Traces:
         nees: NEES, not divided by n.
         nis: NIS, not divided by m; NaN where nothing arrived.
         dof: how many components arrived.
+        log_likelihood: log p(y | earlier readings), 0 where nothing arrived.
+        gated: how many of the components that arrived the estimator did not use.
+        channel_nis: NIS/m of each channel given those before it, NaN where nothing arrived.
         lags: sums of ν̃ₖ·ν̃ₖ₋ₗ, l = 0, 1, ..., of whitened innovations ν̃.
         lag_terms: how many products of two numbers are in each.
         fault: `Fault` of each run.
@@ -45,6 +48,9 @@ class Traces:
     nees: Float[Array, "time run"]
     nis: Float[Array, "time-1 run"]
     dof: Int[Ints, "time-1 run"]
+    log_likelihood: Float[Array, "time-1 run"]
+    gated: Int[Ints, "time-1 run"]
+    channel_nis: Float[Array, "time-1 run channel"]
     lags: Float[Array, "run lag"]
     lag_terms: Int[Ints, "run lag"]
     fault: UInt[Faults, " run"]

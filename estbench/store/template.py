@@ -35,6 +35,7 @@ def declare(
         "run": setup.scenario.simulation.runs,
         "time": len(setup.times),
         "batch": len(batches),
+        "channel": len(setup.channel_spaces),
         "coordinate": space.n,
         "coordinate_": space.n,
         "state": space.nx,
@@ -52,6 +53,7 @@ def declare(
         ("coordinate", "coordinate", space.names),
         ("coordinate_", "coordinate_", space.names),
         ("unit", "coordinate", space.units),
+        ("channel", "channel", tuple(setup.channel_spaces)),
     ]
     if keep != "summary":
         texts.append(("state", "state", state_names(space)))

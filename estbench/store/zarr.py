@@ -137,6 +137,13 @@ class Store:
             raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
         count = setup.scenario.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
+        wanted = fields(str(keep), _live(setup))
+        for label in setup.scenario.estimators:
+            if lacking := [name for name in wanted if f"{label}/{name}" not in root]:
+                raise StoreError(
+                    f"{folder} was begun with an earlier version of estbench and has no "
+                    f"{label}/{lacking[0]}: it can be read but not continued; choose another --out"
+                )
         return cls(folder, str(keep), str(dtype), batches, _live(setup))
 
     def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:

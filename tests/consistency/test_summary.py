@@ -25,6 +25,8 @@ def traces(runs=6, steps=4, n=2, seed=0, spread=1.0):
     return Traces(
         truth=mean + error, mean=mean, error=error, std=np.ones_like(error) * rng.uniform(1, 2, n),
         nees=(error**2).sum(axis=-1), nis=nis, dof=dof,
+        log_likelihood=np.where(dof > 0, rng.standard_normal(dof.shape), 0.0),
+        gated=np.minimum(dof, 1), channel_nis=np.stack([nis, np.where(dof > 1, nis, np.nan)], -1),
         lags=rng.normal(0, 1, (runs, 3)), lag_terms=np.tile([9, 8, 7], (runs, 1)),
         fault=np.zeros(runs, np.uint8), fault_step=np.full(runs, -1), late=np.arange(runs),
         cpu_time=6e-3,
@@ -119,7 +121,8 @@ def test_a_record_has_the_declared_fields_dimensions_and_types(keep):
     record = reduce(traces(), keep)
     assert set(record) == set(records.fields(keep) | records.COST)
     sizes = {"run": 6, "time": 5, "batch": 1, "coordinate": 2, "coordinate_": 2, "state": 2,
-             "reading": 3, "reading_": 3, "lag": 3}  # fmt: skip
+             "reading": 3, "reading_": 3, "lag": 3, "block": 10, "size": 2,
+             "channel": 2}  # fmt: skip
     for name in record.keys() & records.fields(keep).keys():
         field = records.fields(keep)[name]
         assert record[name].shape == tuple(sizes[d] for d in field.dims), name

@@ -175,3 +175,52 @@ def test_the_tables_follow_from_what_is_stored(tmp_path):
     np.testing.assert_allclose(
         [r.value for r in f.summary.rmse], np.sqrt((e**2).mean(axis=(0, 1))), rtol=1e-9
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"), [("cartpole", []), ("quadrotor", ["channels.position.dropout=0.3"])]
+)
+def test_what_is_said_of_each_run_follows_from_what_is_stored(name, overrides, tmp_path):
+    """Blocks, moments, log-likelihood and NIS by channel, from error, σ, ν and S."""
+    estbench.run(
+        name, ["ekf"], runs=5, duration=0.4, out=tmp_path / "x", keep="full",
+        overrides=[*overrides, "consistency.burn_in=0.1"],
+    )  # fmt: skip
+    with estbench.open_results(tmp_path / "x") as tree:
+        ekf, times = tree["ekf"].to_dataset().load(), tree["time"].to_numpy()
+        channels = [str(c) for c in tree["channel"].to_numpy()]
+        readings_ = [str(r) for r in tree["reading"].to_numpy()]
+    v, S = ekf["innovation"].to_numpy(), ekf["innovation_cov"].to_numpy()
+    late = np.flatnonzero(times > 0.1 + 1e-12)
+    owner = np.array([channels.index(r.split(".")[0]) for r in readings_])
+    likelihood = np.zeros(5)
+    square, number = np.zeros((2, 5, len(late), len(channels)))
+    for run in range(5):
+        for i, k in enumerate(late):
+            came = np.isfinite(v[run, k])
+            if not came.any():
+                continue
+            part = S[run, k][np.ix_(came, came)]
+            zero = np.zeros(came.sum())
+            likelihood[run] += stats.multivariate_normal.logpdf(v[run, k][came], zero, part)
+            white = np.linalg.solve(np.linalg.cholesky(part), v[run, k][came])
+            np.add.at(square[run, i], owner[came], white**2)
+            np.add.at(number[run, i], owner[came], 1)
+    np.testing.assert_allclose(ekf["log_likelihood"], likelihood, rtol=1e-9)
+    np.testing.assert_array_equal(ekf["received"], number.sum(axis=(1, 2)))
+    ratio = np.where(number > 0, square / np.maximum(number, 1), np.nan)
+    np.testing.assert_allclose(ekf["channel_nis"], np.nanmean(ratio, axis=1), rtol=1e-7)
+    e, sigma, nees = (ekf[x].to_numpy() for x in ("error", "std", "nees"))
+    n = e.shape[-1]
+    for j, inside in enumerate(np.array_split(late, 10)):
+        part = e[:, inside] / sigma[:, inside]
+        np.testing.assert_allclose(ekf["scaled_error"][:, j], part.mean(axis=1), atol=1e-12)
+        np.testing.assert_allclose(ekf["scaled_square"][:, j], (part**2).mean(axis=1))
+        np.testing.assert_allclose(ekf["nees_by_block"][:, j], nees[:, inside].mean(axis=1) / n)
+    np.testing.assert_allclose(ekf["mean_error"], e[:, late].mean(axis=1))
+    np.testing.assert_allclose(ekf["mean_cube"], (e[:, late] ** 3).mean(axis=1))
+    size = np.log(sigma[:, late] ** 2).mean(axis=-1)
+    for run in range(5):
+        small = size[run] < np.median(size[run])
+        expected = [nees[run, late][part].mean() / n for part in (small, ~small)]
+        np.testing.assert_allclose(ekf["nees_by_size"][run], expected)

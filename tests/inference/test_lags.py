@@ -139,3 +139,16 @@ def test_a_lag_without_terms_has_no_correlation():
     rho = correlation(*fed([(("gyro",), white, None) for white in normal(10, 2)], 4))
     assert np.isfinite(rho[:, :2]).all()
     assert np.isnan(rho[:, 2:]).all()
+
+
+def test_nis_of_channels_by_hand_and_a_replay_replaces():
+    lags = Lags(2, WIDTHS)
+    lags.put(1, 0, ("gyro", "position"), np.array([[1.0, 2.0, 3.0], [1.0, 0.0, 4.0]]),
+             np.array([[True, True, True], [True, False, True]]))  # fmt: skip
+    lags.put(1, 1, ("gyro",), np.array([[3.0, 4.0], [0.0, 0.0]]),
+             np.array([[True, True], [False, False]]))  # fmt: skip
+    lags.put(2, 0, ("position",), np.array([[9.0], [9.0]]))
+    lags.put(2, 0, ("position",), np.array([[5.0]]), None, np.array([0]))
+    found, nan = lags.nis(4), np.nan
+    np.testing.assert_array_equal(found[..., 0], [[nan, nan], [30 / 4, 1.0], [nan] * 2, [nan] * 2])
+    np.testing.assert_array_equal(found[..., 1], [[nan, nan], [9.0, 16.0], [25.0, 81.0], [nan] * 2])

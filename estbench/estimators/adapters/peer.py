@@ -145,6 +145,8 @@ class PeerFilter(GaussianEstimator):
                 )
             except np.linalg.LinAlgError:
                 fault[i] = Fault.INNOVATION
-        white = solve_lower(cholesky(S), residual[..., None])[..., 0]
-        innovation = Innovation(residual, S, white, (white**2).sum(axis=-1), present.sum(axis=-1))
+        lower = cholesky(S)
+        white = solve_lower(lower, residual[..., None])[..., 0]
+        nis, dof = (white**2).sum(axis=-1), present.sum(axis=-1)
+        innovation = Innovation(residual, S, white, nis, dof, lower)
         return mark_failed(replace(belief, mean=mean, cov=cov), fault), innovation

@@ -1,0 +1,48 @@
+"""Stores of earlier versions, which have fewer variables."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from estbench.analysis.compare import compare_stores
+from estbench.analysis.formats import render
+from estbench.analysis.load import REQUIRED, load
+from estbench.consistency.records import SUMMARY
+from estbench.errors import StoreError
+from tests import stores
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory):
+    """A store without the variables that came later, and the same store whole."""
+    folder = tmp_path_factory.mktemp("stores")
+    stores.run(folder / "now", runs=12, keep="summary")
+    shutil.copytree(folder / "now", folder / "earlier")
+    kept = REQUIRED | {"lag_one", "inside_1", "inside_2", "inside_3", "late"}
+    for name in SUMMARY.keys() - kept:
+        shutil.rmtree(folder / "earlier" / "data.zarr" / "ekf" / name)
+    shutil.rmtree(folder / "earlier" / "data.zarr" / "channel")
+    root = folder / "earlier" / "data.zarr" / "zarr.json"
+    described = json.loads(root.read_text(encoding="utf-8"))
+    del described["consolidated_metadata"]  # it names what is gone
+    root.write_text(json.dumps(described), encoding="utf-8")
+    return folder
+
+
+def test_it_opens_and_what_it_lacks_is_unknown(earlier):
+    old, new = load(earlier / "earlier"), load(earlier / "now")
+    a, b = old.summaries["ekf"], new.summaries["ekf"]
+    assert a.anees == b.anees
+    assert a.rmse == b.rmse
+    assert np.isnan(a.log_likelihood.value)
+    assert np.isnan([i.value for i in (*a.mean_error, *a.skew)]).all()
+    assert len(a.mean_error) == len(b.mean_error) == 2
+    for format_ in ("text", "json", "csv"):
+        assert render(compare_stores([earlier / "earlier"]), format_)
+
+
+def test_it_is_not_continued(earlier):
+    with pytest.raises(StoreError, match=r"begun with an earlier version .* no ekf/.*--out"):
+        stores.run(earlier / "earlier", runs=12, keep="summary", resume=True)
