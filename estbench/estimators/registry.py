@@ -23,6 +23,7 @@ _BUILTIN = {
     "ckf": "ckf:CKF",
     "ghkf": "ghkf:GHKF",
     "rotated_ukf": "rotated_ukf:RotatedUKF",
+    "iplf": "iplf:IPLF",
     "enkf": "enkf:EnKF",
     "pf": "particle:ParticleFilter",
     "imm": "imm:IMM",
@@ -37,7 +38,7 @@ _BUILTIN = {
     "stonesoup_ekf": "adapters.stonesoup:StoneSoupEKF",
     "stonesoup_ukf": "adapters.stonesoup:StoneSoupUKF",
 }
-_SMOOTHERS = {"rts": "RTS", "urts": "URTS", "map": "MAP"}
+_SMOOTHERS = {"rts": "RTS", "urts": "URTS", "ipls": "IPLS", "map": "MAP"}
 BUILTIN = {name: f"estbench.estimators.{target}" for name, target in _BUILTIN.items()}
 BUILTIN |= {name: f"estbench.smoothers.estimators:{target}" for name, target in _SMOOTHERS.items()}
 GROUP = "estbench.estimators"

@@ -9,9 +9,8 @@ from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import below, in_range, switch, whole
 from estbench.estimators.sigma_points import SigmaPoints, symmetric
 from estbench.estimators.ukf import SigmaBelief, SigmaPointFilter
-from estbench.models.protocol import Channels
 from estbench.randomness.orthogonal import haar
-from estbench.shapes import Array, Bool, Float, Keys, Mask, UInt
+from estbench.shapes import Array, Float, Keys, UInt
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,29 +80,13 @@ class RotatedUKF(SigmaPointFilter):
         keys, counter = random_start(len(mean), keys)
         return RotatedBelief(start.mean, start.cov, start.fault, keys=keys, counter=counter)
 
-    def predict(
-        self, belief: RotatedBelief, u: Float[Array, "run nu"], t: float, dt: float
-    ) -> Gaussian:
-        """x̂⁻ and P⁻ from the images of the rotated points, P⁻ += ω Ω + Q."""
-        prior = super().predict(belief, u, t, dt)
-        return replace(prior, counter=belief.counter + np.uint64(1))
-
-    def update(
-        self,
-        belief: RotatedBelief,
-        y: Float[Array, "run ny"],
-        u: Float[Array, "run nu"],
-        t: float,
-        channels: Channels = None,
-        mask: Bool[Mask, "run m"] | None = None,
-    ) -> tuple[Gaussian, Innovation]:
-        """P⁺ = P⁻ - K S Kᵀ with S, Pxy from new points of another rotation, S += ω Ω."""
-        posterior, innovation = super().update(belief, y, u, t, channels, mask)
-        arrived = (innovation.dof > 0).astype(np.uint64)
-        return replace(posterior, counter=belief.counter + arrived), innovation
-
     def rule_at(self, belief: RotatedBelief, purpose: int) -> SigmaPoints:
         """The rotated points of each run; the same for the same belief."""
         n = self.model.space.n
         axes = haar(belief.keys, belief.counter, purpose, self.rotations, n)
         return symmetric(axes, self.centre_weight)
+
+    def drawn(self, belief: RotatedBelief, innovation: Innovation | None = None) -> Gaussian:
+        """Counts, in the runs where something arrived."""
+        arrived = np.uint64(1) if innovation is None else (innovation.dof > 0).astype(np.uint64)
+        return replace(belief, counter=belief.counter + arrived)

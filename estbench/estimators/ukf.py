@@ -64,7 +64,7 @@ class SigmaPointFilter(GaussianEstimator):
             belief, mean=mean, cov=symmetrize(cov + Q),
             points=None if self.redraw else self.rule.on_line(self.model.space, points),
         )  # fmt: skip
-        return mark_failed(prior, failed_factor(lower, belief.cov))
+        return self.drawn(mark_failed(prior, failed_factor(lower, belief.cov)))
 
     def update(
         self,
@@ -97,11 +97,19 @@ class SigmaPointFilter(GaussianEstimator):
         cov = symmetrize(belief.cov - c.reduction)
         prior = belief if redrawn else replace(belief, points=None)
         fault = np.where(fault, fault, c.fault)
-        return apply_correction(space, prior, c.delta, cov, fault), c.innovation
+        posterior = apply_correction(space, prior, c.delta, cov, fault)
+        return self.drawn(posterior, c.innovation), c.innovation
 
     def rule_at(self, belief: Gaussian, purpose: int) -> SigmaPoints:
         """The sigma points for one belief and one purpose, PREDICTION or MEASUREMENT."""
         return self.rule
+
+    def drawn(self, belief: Gaussian, innovation: Innovation | None = None) -> Gaussian:
+        """The belief after a prediction or an update, for which points were drawn.
+
+        A filter with random points counts here, so that those of the next step are others.
+        """
+        return belief
 
 
 def failed_factor(

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.beliefs import Gaussian, start
+from estbench.estimators.iplf import IPLF
 from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
-from estbench.estimators.settings import base, in_range, table, whole
+from estbench.estimators.settings import base, in_range, one_of, table, whole
+from estbench.estimators.ukf import SigmaPointFilter
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float, Keys, UInt
+from estbench.smoothers.ipls import ipls
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
@@ -102,6 +105,42 @@ class URTS(FilterThenSmooth):
         posteriors = self._gaussians(history.beliefs)
         rule = getattr(self._filter, "rule", None)
         return urts(self.model, posteriors, history.controls, history.times, rule)
+
+
+@dataclass(frozen=True)
+class IPLS(FilterThenSmooth):
+    """Iterated posterior linearization smoother after a sigma-point filter, by its own points.
+
+    See `estbench.smoothers.ipls.ipls`.
+
+    Cost per step: that of the filter, and up to `iterations` times its transitions and
+    measurements. Choose it over `urts` where the filter's estimates are far from the smoothed ones.
+
+    Attributes:
+        iterations: maximal number of linearizations.
+        tolerance: a run has converged when no coordinate changes by more standard deviations.
+    """
+
+    base: str = "iplf"
+    bases: ClassVar[tuple[str, ...]] = ("iplf", "ukf", "ckf", "ghkf", "rotated_ukf")
+    iterations: int = 10
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        one_of(self, "base", self.bases)
+        super().__post_init__()
+        whole(self, "iterations", 1)
+        in_range(self, "tolerance", 0.0)
+
+    def smooth(self, history: FilterHistory) -> list[Gaussian]:
+        """Again and again over the whole run."""
+        filter = self._filter
+        assert isinstance(filter, SigmaPointFilter | IPLF)
+        return ipls(
+            self.model, self._gaussians(history.beliefs), history.controls, history.times,
+            history.measurements, lambda k, purpose: filter.rule_at(history.beliefs[k], purpose),
+            omega=filter.omega, iterations=self.iterations, tolerance=self.tolerance,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

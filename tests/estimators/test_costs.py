@@ -66,6 +66,7 @@ SIGMA = (2 * N + 1, 2 * N + 1)
         ("ghkf", {"order": 3}, (3**N, 3**N)),
         ("rotated_ukf", {}, (2 * N, 2 * N)),
         ("rotated_ukf", {"rotations": 2, "centre_weight": 0.2}, (4 * N + 1, 4 * N + 1)),
+        ("iplf", {"iterations": 3, "tolerance": 0.0}, (2 * N + 1, 3 * (2 * N + 1))),
         ("enkf", {"size": SIZE}, (SIZE, SIZE)),
         ("pf", {"size": SIZE, "regularization": 0.5}, (SIZE, SIZE)),
         ("imm", {}, (2 * (N + 1), 2 * (N + 1))),
@@ -107,7 +108,12 @@ def test_a_step_of_the_continuous_discrete_filter(substeps):
 
 @pytest.mark.parametrize(
     ("name", "settings", "expected"),
-    [("rts", {}, (N + 1, 0)), ("urts", {}, (2 * N + 1, 0)), ("map", {"iterations": 3}, None)],
+    [
+        ("rts", {}, (N + 1, 0)),
+        ("urts", {}, (2 * N + 1, 0)),
+        ("map", {"iterations": 3}, None),
+        ("ipls", {"iterations": 3, "tolerance": 0.0}, (3 * (2 * N + 1), 3 * (2 * N + 1))),
+    ],
 )
 def test_looking_back(name, settings, expected):
     model, f, h = counted()

@@ -9,6 +9,7 @@ from estbench.estimators.ckf import CKF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.ghkf import GHKF
 from estbench.estimators.iekf import IEKF
+from estbench.estimators.iplf import IPLF
 from estbench.estimators.kf import KF
 from estbench.estimators.lkf import LKF
 from estbench.estimators.rotated_ukf import RotatedUKF
@@ -32,6 +33,8 @@ FAMILY = {
     "ckf": CKF,
     "ghkf": GHKF,
     "rotated_ukf": RotatedUKF,
+    "iplf": IPLF,
+    "iplf_rotated": lambda model: IPLF(model, base="rotated_ukf"),
     "rotated_ukf_thrice": lambda model: RotatedUKF(model, centre_weight=0.25, rotations=3),
 }
 family = pytest.mark.parametrize("name", FAMILY)
@@ -198,7 +201,7 @@ def test_a_failed_run_is_marked_and_leaves_the_others_alone(name):
 
 @pytest.mark.parametrize(
     "name",
-    ["ukf", "sr_ekf", "sr_ukf", "sr_ukf_downdated", "ckf", "ghkf", "rotated_ukf"],
+    ["ukf", "sr_ekf", "sr_ukf", "sr_ukf_downdated", "ckf", "ghkf", "rotated_ukf", "iplf"],
 )
 def test_an_indefinite_covariance_is_named(name):
     model = nonlinear_model(4)
@@ -214,6 +217,7 @@ CURVED = {
     "sr_ekf": ("ekf", 1e-7),
     "lkf_handed_at_once": ("ekf", 1e-7),
     "iekf_once": ("ekf", 1e-7),
+    "iplf_once": ("ukf", 1e-9),
     "sr_ukf": ("ukf", 1e-9),
 }
 
@@ -225,6 +229,7 @@ def test_agrees_with_its_plain_form_on_a_curved_state(name, masked):
     build = FAMILY | {
         "lkf_handed_at_once": lambda model: LKF(model, handover_time=0.0),
         "iekf_once": lambda model: IEKF(model, iterations=1),
+        "iplf_once": lambda model: IPLF(model, iterations=1),
     }
     model = mujoco_model("joints", "additive", 0.01)
     rng = np.random.default_rng(6)

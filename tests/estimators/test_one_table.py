@@ -12,7 +12,7 @@ from tests.helpers import OTHER, SAMPLED
 
 SMALL = ["estimators.enkf={size=20}", "estimators.pf={size=500}"]
 ALIKE = [
-    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf"),
+    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf", "iplf"),
     *("schmidt_ekf", "bias_ekf", "bias_ukf"),
     *("converted_ekf", "filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"),
 ]
@@ -29,7 +29,7 @@ def test_all_of_them(robot):
     assert all(results[name].cost > 0 for name in names)
     for name in ALIKE:
         np.testing.assert_allclose(rmse[name], rmse["ekf"], rtol=0.02, err_msg=name)
-    for name in ("rts", "urts", "map"):
+    for name in ("rts", "urts", "ipls", "map"):
         assert np.mean(rmse[name]) < np.mean(rmse["ekf"])
     for name in SAMPLED | OTHER | {"lkf", "kf", "cd_ekf"}:
         assert (np.array(rmse[name]) < 3.0 * np.array(rmse["ekf"])).all(), name

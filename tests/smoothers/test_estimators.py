@@ -45,6 +45,7 @@ def filter_history(estimator, seed=0, steps=6, runs=3):
     ("name", "settings"),
     [("rts", {"base": base}) for base in ("ekf", "iekf", "sr_ekf", "kf", "lkf")]
     + [("urts", {"base": base}) for base in ("ukf", "sr_ukf", "ckf", "ghkf")]
+    + [("ipls", {"base": base}) for base in ("iplf", "ukf", "ckf", "ghkf", "rotated_ukf")]
     + [("map", {}), ("map", {"base": "ukf", "window": 6.0})],
 )
 def test_all_are_one_on_a_linear_model(name, settings, seed):
