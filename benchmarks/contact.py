@@ -28,13 +28,12 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "ukf": {},
     "rotated_ukf": {},
     "w0": {"type": "rotated_ukf", "centre_weight": 0.0},
-    "w0.25": {"type": "rotated_ukf", "centre_weight": 0.25},
-    "w0.5": {"type": "rotated_ukf", "centre_weight": 0.5},
     "omega0": {"type": "rotated_ukf", "omega": 0.0},
-    "omega2": {"type": "rotated_ukf", "omega": 2.0},
-    "K2_omega0.5": {"type": "rotated_ukf", "rotations": 2, "omega": 0.5},
     "K4_omega0": {"type": "rotated_ukf", "rotations": 4, "omega": 0.0},
-    "w0.25_omega0.5": {"type": "rotated_ukf", "omega": 0.5, "centre_weight": 0.25},
+    "iplf": {"base": "rotated_ukf"},
+    "diplf": {},
+    "diplf2": {"type": "diplf", "iterations": 2},
+    "diplf_m3": {"type": "diplf", "measurement_iterations": 3},
 }
 """Label -> settings; those of one type show what its settings do."""
 

@@ -24,6 +24,7 @@ _BUILTIN = {
     "ghkf": "ghkf:GHKF",
     "rotated_ukf": "rotated_ukf:RotatedUKF",
     "iplf": "iplf:IPLF",
+    "diplf": "diplf:DIPLF",
     "enkf": "enkf:EnKF",
     "pf": "particle:ParticleFilter",
     "imm": "imm:IMM",

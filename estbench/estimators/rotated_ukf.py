@@ -41,11 +41,11 @@ class RotatedUKF(SigmaPointFilter):
     The rotated third-degree rule is that of the randomized UKF (Straka, Duník & Šimandl, FUSION
     2012) and of the stochastic integration filter (Duník, Straka & Šimandl, IEEE Trans. Automatic
     Control 58(6), 2013), which also draw the radius and average many rotations. Here the radius is
-    fixed, so all weights are positive for 0 <= w₀ < 1 and few rotations suffice. Ω is the error of
+    fixed, all weights are positive for 0 <= w₀ < 1, and few rotations suffice. Ω is the error of
     the statistical linear regression (Lefebvre, Bruyninckx & De Schutter 2002; García-Fernández et
     al. 2015).
 
-    Cost per step: 2 n K transitions and 2 n K measurements, 1 more of each with w₀ ≠ 0. Choose it
+    Cost per step: 2 n K + 1 transitions and measurements, one less of each with w₀ = 0. Choose it
     for robots in contact, where the UKF is overconfident; on a smooth model it equals the UKF up to
     the error of the quadrature.
 
@@ -58,7 +58,7 @@ class RotatedUKF(SigmaPointFilter):
     """
 
     omega: float = 1.0
-    centre_weight: float = 0.0
+    centre_weight: float = 0.25
     rotations: int = 1
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ import pytest
 from estbench.estimators import beliefs
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.ckf import CKF
+from estbench.estimators.diplf import DIPLF
 from estbench.estimators.ekf import EKF
 from estbench.estimators.ghkf import GHKF
 from estbench.estimators.iekf import IEKF
@@ -34,6 +35,8 @@ FAMILY = {
     "ghkf": GHKF,
     "rotated_ukf": RotatedUKF,
     "iplf": IPLF,
+    "diplf": DIPLF,
+    "diplf_ukf": lambda model: DIPLF(model, base="ukf", iterations=3, measurement_iterations=2),
     "iplf_rotated": lambda model: IPLF(model, base="rotated_ukf"),
     "rotated_ukf_thrice": lambda model: RotatedUKF(model, centre_weight=0.25, rotations=3),
 }

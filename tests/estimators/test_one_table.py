@@ -12,7 +12,7 @@ from tests.helpers import OTHER, SAMPLED
 
 SMALL = ["estimators.enkf={size=20}", "estimators.pf={size=500}"]
 ALIKE = [
-    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf", "iplf"),
+    *("sr_ekf", "iekf", "ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf", "iplf", "diplf"),
     *("schmidt_ekf", "bias_ekf", "bias_ukf"),
     *("converted_ekf", "filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"),
 ]

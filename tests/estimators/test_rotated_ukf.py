@@ -79,7 +79,7 @@ def test_rotations_average_to_the_moments_of_a_kinked_function():
         model = FunctionModel(
             lambda x, u, t, dt, f=function: f(x), lambda x, u, t: x[..., :1], *none
         )
-        filter = RotatedUKF(model, omega=0.0)
+        filter = RotatedUKF(model, omega=0.0, centre_weight=0.0)
         ahead = filter.predict(filter.init(mean, cov), u, 0.0, 1.0)
         for i in range(n):
             error = ahead.mean[:, i].std() / np.sqrt(runs)
@@ -104,7 +104,7 @@ def test_the_error_of_the_regression_is_counted_omega_times():
 def test_points_that_are_not_redrawn():
     model = nonlinear_model(4)
     mean, cov, u = prior(model, 3)
-    filter = RotatedUKF(model, redraw=False)
+    filter = RotatedUKF(model, redraw=False, centre_weight=0.0)
     ahead = filter.predict(filter.init(mean, cov), u, 0.0, 0.05)
     assert ahead.points.shape == (3, 8, 4)
     after, innovation = filter.update(ahead, model.measurement(mean, u, 0.0), u, 0.05)
@@ -196,7 +196,7 @@ def test_half_a_radian_of_a_ball_and_of_a_free_joint(name, limit):
     mean = space.mean(images, np.full(20_000, 1 / 20_000))
     residual = space.minus(images, mean[:, None])
     whiten = np.linalg.inv(np.linalg.cholesky(residual[0].T @ residual[0] / 20_000))
-    filter = RotatedUKF(model, omega=0.0, rotations=30)
+    filter = RotatedUKF(model, omega=0.0, centre_weight=0.0, rotations=30)
     ahead = filter.predict(filter.init(x, np.diag(std**2)[None]), u, 0.0, 0.2)
     assert np.abs(whiten @ space.minus(ahead.mean, mean)[0]).max() < 0.05
     assert np.abs(whiten @ ahead.cov[0] @ whiten.T - np.eye(space.n)).max() < limit
