@@ -17,7 +17,8 @@ from estbench.estimators.kf import KF
 from estbench.estimators.protocol import Estimator
 from estbench.models.linear import LinearModel
 from estbench.shapes import Array
-from estbench.spaces.linalg import psd_factor, quadratic_form
+from estbench.spaces.linalg import quadratic_form
+from estbench.spaces.semidefinite import eigen_root
 
 ROWS = 20_000
 """Runs simulated at once."""
@@ -67,7 +68,7 @@ def averages(
     n, m = truth.A.shape[-1], truth.C.shape[0]
     filter_ = estimator(replace(truth, Q=process_noise_scale * truth.Q))
     rng = np.random.default_rng(seed)
-    noise, sensor = psd_factor(truth.Q), np.linalg.cholesky(truth.R)
+    noise, sensor = eigen_root(truth.Q)[0], np.linalg.cholesky(truth.R)
     x = spread * rng.standard_normal((runs, n))
     belief = filter_.init(np.zeros((runs, n)), np.tile(spread**2 * np.eye(n), (runs, 1, 1)))
     u, total = np.zeros((runs, 0)), np.zeros(runs)

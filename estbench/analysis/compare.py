@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
 from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load_all
+from estbench.consistency.fields import Record
 from estbench.consistency.intervals import Interval, mean_interval
 from estbench.errors import AnalysisError, StoreError
 from estbench.scenario.schema import Scenario
@@ -122,9 +123,11 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         )
     rows = tuple(np.flatnonzero(np.isin(f.stored.runs, runs)) for f in findings)
     scores, anees = {}, {}
+    known: NDArray[np.bool_] = np.max([_always_known(f.record) for f in findings], axis=0)
+    inexact = np.flatnonzero(~known | known.all())
     for f, where in zip(findings, rows):
         lost = f.record["diverged"][where].astype(bool)
-        scores[f.key] = score(f.record["mse"][where], lost)
+        scores[f.key] = score(f.record["mse"][where][:, inexact], lost)
         anees[f.key] = np.where(lost, np.nan, f.record["anees"][where])
     pairs, ranks = compare(scores, level, margin)
     simulation = stores[0].scenario.simulation
@@ -139,6 +142,12 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         nees=tuple(mean_interval(anees[p.a] - anees[p.b], level) for p in pairs),
         _rows=rows,
     )
+
+
+def _always_known(record: Record) -> NDArray[np.bool_]:
+    """Coordinates `(n,)` that the estimator knows exactly at every step; none of older stores."""
+    n = record["mse"].shape[1]
+    return (record["known"] == 1).all(axis=0) if "known" in record else np.zeros(n, bool)
 
 
 def _same(scenario: Scenario) -> str:

@@ -147,6 +147,8 @@ class Rank:
 def score(mse: Array, lost: NDArray[np.bool_]) -> Array:
     """The mean over the coordinates of log RMSE, one number per run `(run,)`.
 
+    Leave out coordinates that an estimator knows exactly: their errors are rounding errors.
+
     The exponential of a difference is the geometric mean over the coordinates of the ratios of
     RMSE. It has no unit and needs no weights; the size of a coordinate has no influence.
 

@@ -78,6 +78,12 @@ class Stored:
         assert isinstance(node, xr.DataTree)
         return node.to_dataset()
 
+    def rank(self, group: xr.Dataset) -> NDArray[np.int64]:
+        """Degrees of freedom of NEES at each step of `group`; n in a store of an older version."""
+        if "nees_dof" in group:
+            return group["nees_dof"].values
+        return np.full(group["nees"].shape, self.n)
+
     @property
     def settled(self) -> NDArray[np.bool_]:
         """Instants that count in averages `(K + 1,)`."""
@@ -86,7 +92,8 @@ class Stored:
     def traces(self, label: str) -> Iterator[tuple[Array, Array]] | None:
         """Errors `(run, step, n)` and NEES `(run, step)` batch by batch, or None if not stored.
 
-        Over the settled instants of the runs that did not diverge.
+        Over the settled instants of the runs that did not diverge. The error of a coordinate that
+        is known exactly is 0.
         """
         if "error" not in self.tree[label]:
             return None
@@ -97,10 +104,10 @@ class Stored:
         for where in self.batches:
             values = (
                 _read(self.folder, self.tree, f"{label}/{name}", where)[~lost[where]]
-                for name in ("error", "nees")
+                for name in ("error", "nees", "std")
             )
-            error, nees = (np.asarray(v[:, self.settled], np.float64) for v in values)
-            yield error, nees
+            error, nees, std = (np.asarray(v[:, self.settled], np.float64) for v in values)
+            yield np.where(std == 0, 0.0, error), nees
 
 
 def load(folder: str | Path, title: str | None = None) -> Stored:

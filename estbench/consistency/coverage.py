@@ -16,17 +16,19 @@ EXPECTED = tuple(float(special.erf(k / np.sqrt(2))) for k in SIGMAS)
 def inside(
     error: Float[Array, "step run n"], std: Float[Array, "step run n"]
 ) -> Float[Array, "run n 3"]:
-    """Share of the steps at which |error| <= kσ, k = 1, 2, 3.
+    """Share of the steps at which |error| <= kσ, k = 1, 2, 3; NaN where no step counts.
 
-    A step whose error or σ is not finite counts as outside.
+    A step whose error or σ is not finite counts as outside. A step at which the coordinate is known
+    exactly does not count.
 
     Args:
         error: x ⊖ x̂.
-        std: σ that the filter reports.
+        std: σ that the filter reports; 0 where the coordinate is known exactly.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.abs(error) / std
-        return np.stack([(ratio <= k).mean(axis=0) for k in SIGMAS], axis=-1)
+        ratio = np.where(std == 0, np.nan, np.abs(error) / std)
+        count = np.count_nonzero(std != 0, axis=0)
+        return np.stack([(ratio <= k).sum(axis=0) / count for k in SIGMAS], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,13 @@ def coverage(shares: Float[Array, "run ... 3"], level: float = 0.95) -> Coverage
 
     Args:
         shares: `(run, 3)` of one coordinate, or `(run, coordinate, 3)` of several, which are
-            averaged.
+            averaged; NaN is left out.
         level: confidence.
     """
-    each = shares.mean(axis=1) if shares.ndim == 3 else shares
+    each = shares
+    if shares.ndim == 3:
+        some = np.isfinite(shares)
+        count = np.maximum(some.sum(axis=1), 1)
+        each = np.where(some.any(axis=1), np.where(some, shares, 0.0).sum(axis=1) / count, np.nan)
     found = (mean_interval(column, level) for column in each.T)
     return Coverage(tuple(Interval(i.value, max(i.low, 0.0), min(i.high, 1.0)) for i in found))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import cholesky, solve_lower
+from estbench.spaces.linalg import cholesky, identity, solve_lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,11 @@ def log_ratios(
     Args:
         error: x ⊖ x̂.
         nees: eᵀP⁻¹e.
-        square: Σ, `mean_square` of all runs. Where it is singular (fewer runs than
-            coordinates) the ratio is NaN.
+        square: Σ, `mean_square` of all runs. A coordinate without any error counts nothing. Where
+            the others' Σ is singular (fewer runs than coordinates) the ratio is NaN.
     """
+    exact = np.diagonal(square, axis1=-2, axis2=-1) == 0
+    square = square + exact[..., None] * identity(square.shape[-1])
     white = solve_lower(cholesky(square), np.moveaxis(error, 0, -1))  # (step, n, run)
     ideal = np.einsum("kir,kir->rk", white, white)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -61,8 +63,8 @@ def credibility(
     """NCI and inclination at each step, with one batch of runs in memory at a time.
 
     Args:
-        batches: each call gives x ⊖ x̂ and NEES of the runs that
-            did not diverge, batch by batch. It is called twice, first for Σ.
+        batches: each call gives x ⊖ x̂, 0 of a coordinate that is known exactly, and NEES of the
+            runs that did not diverge, batch by batch. It is called twice, first for Σ.
 
     Returns:
         NaN where there are no more runs than coordinates.
@@ -80,7 +82,8 @@ def credibility(
         if len(error):
             ratios = log_ratios(error, nees, square)
             size, total = size + np.abs(ratios).sum(axis=0), total + ratios.sum(axis=0)
-    return Credibility(size / runs, total / runs, expected(n, runs))
+    inexact = np.diagonal(square, axis1=-2, axis2=-1) > 0
+    return Credibility(size / runs, total / runs, expected(round(inexact.sum(-1).mean()), runs))
 
 
 def expected(n: int, runs: int, repetitions: int = 200, seed: int = 0) -> float:

@@ -102,7 +102,7 @@ class BatchTraces:
         """Dimension m of the innovation at every instant."""
         return np.concatenate([np.zeros((1, self.runs), np.int64), self.traces.dof])
 
-    def average(self, values: Float[Array, "time run *any"]) -> Float[Array, " run *any"]:
+    def average(self, values: Shaped[NDArray[Any], "time run *any"]) -> Float[Array, " run *any"]:
         """Mean over the settled instants.
 
         A run whose values are NaN from its failure on has the average NaN.
@@ -169,6 +169,24 @@ class BatchTraces:
     def nis_total(self) -> Float[Array, "1 time"]:
         """`total` of NIS, where nothing arrived 0."""
         return np.nansum(self.nis[:, ~self.diverged], axis=1)[None]
+
+    @cached_property
+    def normalized(self) -> Float[Array, "time run"]:
+        """NEES divided by its degrees of freedom, by 1 where there are none."""
+        return self.traces.nees / np.maximum(self.traces.rank, 1)
+
+    def normalized_nees(self) -> Float[Array, " run"]:
+        """Mean of NEES over the settled instants, divided by that of its degrees of freedom.
+
+        NaN where all is known exactly, and the estimate is right.
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.average(self.traces.nees) / self.average(self.traces.rank)
+
+    @cached_property
+    def known(self) -> Float[Array, "run n"]:
+        """Share of the settled instants at which each coordinate is known exactly."""
+        return (self.traces.std[self.settled] == 0).mean(axis=0)
 
     def normalized_nis(self) -> Float[Array, " run"]:
         """Mean over the settled updates of NIS/m; NaN without an update."""

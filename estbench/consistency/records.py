@@ -36,12 +36,12 @@ SUMMARY: dict[str, Recorded] = {
     },
     "nees_by_block": Recorded(
         (*RUN, "block"), "f8", "average of NEES/n in each block of time",
-        lambda b: b.in_blocks(b.traces.nees / b.n, np.ones((len(b.times), 1), bool)),
+        lambda b: b.in_blocks(b.normalized, np.ones((len(b.times), 1), bool)),
     ),
     "nees_by_size": Recorded(
         (*RUN, "size"), "f8",
         "average of NEES/n where the covariance is below its median over the run, and elsewhere",
-        lambda b: b.by_size(b.traces.nees / b.n),
+        lambda b: b.by_size(b.normalized),
     ),
     "scaled_error": Recorded(
         (*RUN, "block", "coordinate"), "f8", "average of error/σ in each block of time",
@@ -62,6 +62,14 @@ SUMMARY: dict[str, Recorded] = {
     ),
     "received": Recorded(
         RUN, "i8", "components of readings that arrived", lambda b: b.summed(b.traces.dof)
+    ),
+    "known": Recorded(
+        COORDINATE, "f8", "share of the steps at which the coordinate is known exactly",
+        lambda b: b.known,
+    ),
+    "rank": Recorded(
+        RUN, "f8", "time average of the degrees of freedom of NEES",
+        lambda b: b.average(b.traces.rank),
     ),
     "fault": Recorded(
         RUN, "u1", "why the run failed (estbench.estimators.beliefs.Fault), 0 = it did not",
@@ -88,6 +96,10 @@ SUMMARY: dict[str, Recorded] = {
     ),
     "nees_sum": Recorded(
         STEP, "f8", "sum over runs of NEES, not divided by n", lambda b: b.total(b.traces.nees)
+    ),
+    "rank_sum": Recorded(
+        STEP, "i8", "sum over runs of the degrees of freedom of NEES",
+        lambda b: b.total(b.traces.rank),
     ),
     "nis_sum": Recorded(
         STEP, "f8", "sum over runs of NIS, not divided by m", lambda b: b.nis_total()
@@ -116,8 +128,16 @@ COST = {
 DIAGONAL = {
     "estimate": Recorded((*EACH, "state"), "f8", "x̂", run_major("mean")),
     "error": Recorded((*EACH, "coordinate"), "f8", "x ⊖ x̂ in the tangent at x̂", run_major("error")),
-    "std": Recorded((*EACH, "coordinate"), "f8", "filter's standard deviation", run_major("std")),
+    "std": Recorded(
+        (*EACH, "coordinate"),
+        "f8",
+        "filter's standard deviation, 0 where the coordinate is known exactly",
+        run_major("std"),
+    ),
     "nees": Recorded(EACH, "f8", "NEES, not divided by n", run_major("nees")),
+    "nees_dof": Recorded(
+        EACH, "i8", "degrees of freedom of NEES: n, less what is known exactly", run_major("rank")
+    ),
     "nis": Recorded(
         EACH, "f8", "NIS, not divided by m, NaN where nothing arrived", run_major("nis")
     ),
@@ -172,7 +192,7 @@ def reduce(
         keep: `summary`, `diagonal` or `full`.
     """
     window = round(section.divergence_duration / np.diff(times).mean())
-    normalized = traces.nees / traces.error.shape[-1]
+    normalized = traces.nees / np.maximum(traces.rank, 1)
     lost = diverged_runs(normalized, section.divergence_threshold, window)
     batch = BatchTraces(
         traces=traces,

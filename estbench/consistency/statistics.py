@@ -29,15 +29,17 @@ ANEES = Statistic(
     name="anees",
     heading="NEES/n",
     key="anees_over_n",
-    meaning="mean over runs of the time-averaged NEES, divided by n; the verdict is made from it",
+    meaning="mean over runs of the time-averaged NEES, divided by its degrees of freedom (n, less "
+    "what is known exactly); the verdict is made from it",
     of=lambda s: positive_mean_interval(s.converged("anees"), s.level),
     ideal=1.0,
     variables={
         "anees": Recorded(
-            RUN, "f8", "time average of NEES/n", lambda b: b.average(b.traces.nees) / b.n
+            RUN, "f8", "time average of NEES, over that of its degrees of freedom",
+            lambda b: b.normalized_nees(),
         )
     },
-)
+)  # fmt: skip
 ANEES_MEDIAN = Statistic(
     name="anees_median",
     heading="median",
@@ -249,6 +251,8 @@ class Summary:
         verdict: from ANEES/n and the share of diverged runs.
         failures: the runs with a numerical failure.
         late: readings, of all runs, that came after the window and were not fused.
+        known: share of the steps at which each coordinate was known exactly.
+        rank: mean over time and runs of the degrees of freedom of NEES.
     """
 
     label: str
@@ -268,6 +272,8 @@ class Summary:
     cost: float
     failures: tuple[Failure, ...]
     late: int = 0
+    known: tuple[float, ...] = ()
+    rank: float = np.nan
 
     @property
     def diverged(self) -> float:

@@ -13,7 +13,7 @@ from estbench.consistency.nees import judge
 from estbench.consistency.statistics import ANEES, DIVERGED, Failure, Summary
 from estbench.estimators.beliefs import Fault
 from estbench.scenario.schema import ConsistencySection
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Bool, Float, Mask
 
 
 def summarize(
@@ -48,6 +48,7 @@ def summarize(
         verdict=judge(anees, diverged.value, section.tolerance),
         failures=tuple(failures),
         late=int(record["late"].sum()),
+        **_exact(record, sample.good),
         **values,
     )
 
@@ -56,3 +57,29 @@ def _unknown(s: Statistic, record: Record) -> Any:
     """The value of a statistic whose variables a store of an earlier version lacks."""
     value = np.nan if s.form == "number" else NONE
     return value if s.per == "run" else (value,) * record["mse"].shape[1]
+
+
+def _exact(record: Record, good: Bool[Mask, " run"]) -> dict[str, Any]:
+    """What is known exactly, over the runs that did not diverge; nothing of older stores."""
+    if "known" not in record or not good.any():
+        return {}
+    known = record["known"][good].mean(axis=0)
+    return {"known": tuple(map(float, known)), "rank": float(record["rank"][good].mean())}
+
+
+def exactly_known(summary: Summary, names: Sequence[str]) -> str:
+    """A note about coordinates that the estimator knows exactly; empty if there are none.
+
+    Args:
+        summary: of one estimator.
+        names: of the coordinates.
+    """
+    if not summary.known or summary.rank >= len(names):
+        return ""
+    said = []
+    for name, share in zip(names, summary.known):
+        if share > 0:
+            often = "" if share > 0.9995 else f" in {share:.1%} of the steps"
+            said.append(f"{name} is known exactly{often}")
+    what = "; ".join(said) or "P is singular, so a combination of coordinates is known exactly"
+    return f"{what}; NEES/n counts {summary.rank:.3g} of {len(names)} degrees of freedom"

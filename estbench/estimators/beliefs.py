@@ -29,7 +29,7 @@ class Fault(IntEnum):
         return (
             "",
             "the estimate is not finite",
-            "the state covariance P is not positive definite",
+            "the state covariance P is not positive semidefinite",
             "the innovation covariance S is not positive definite",
             "the simulation of the truth failed",
         )[self]

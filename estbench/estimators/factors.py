@@ -8,8 +8,9 @@ from estbench.estimators.beliefs import Fault, Gaussian, check_prior
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.update import mark_failed
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
-from estbench.spaces.linalg import cholesky, pad_absent, solve_lower
+from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, surely_finite
 from estbench.spaces.manifold import Manifold
+from estbench.spaces.semidefinite import ROUNDING, psd_root
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,8 @@ def lost(
     code: Fault = Fault.COVARIANCE,
 ) -> UInt[Faults, " run"]:
     """The fault `code` where a factor is not finite although its `ingredients` are."""
+    if surely_finite(factor):
+        return np.zeros(len(factor), np.uint8)
     failed = ~np.isfinite(factor).all(axis=(-2, -1))
     failed = failed & np.isfinite(ingredients).all(axis=(-2, -1))
     return np.where(failed, code, Fault.NONE).astype(np.uint8)
@@ -97,21 +100,22 @@ def triangular(root: Float[Array, "run n k"]) -> Float[Array, "run n n"]:
     return (upper * sign[..., None]).mT
 
 
-def psd_root(a: Float[Array, "*lead n n"]) -> Float[Array, "*lead n n"]:
-    """A square root S with S Sᵀ = A of semidefinite matrices.
+def weighted_factor(
+    weights: Float[Array, " point"],
+    residuals: Float[Array, "run point n"],
+    noise: Float[Array, "run n k"],
+) -> Float[Array, "run n n"]:
+    """The triangular factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ, by QR of the weighted residuals and N.
 
-    The Cholesky factor if it exists, else a root from the eigenvalues. NaN where a matrix is not
-    finite or has an eigenvalue below -1e-10 of its largest.
+    Args:
+        weights: w; of a scaled rule, so that only the first may be negative.
+        residuals: r; the first is that of the centre, a downdate where its weight is negative.
+        noise: N.
     """
-    stack = a if a.ndim == 3 else a[None]
-    out = cholesky(stack)
-    rest = ~np.isfinite(out).all(axis=(-2, -1)) & np.isfinite(stack).all(axis=(-2, -1))
-    if rest.any():
-        values, vectors = np.linalg.eigh(stack[rest])
-        floor = -1e-10 * np.abs(values).max(axis=-1, keepdims=True)
-        values = np.where(values < floor, np.nan, np.maximum(values, 0.0))
-        out[rest] = vectors * np.sqrt(values)[:, None, :]
-    return out if a.ndim == 3 else out[0]
+    down = int(weights[0] < 0)
+    columns = (np.sqrt(weights[down:, None]) * residuals[:, down:]).mT
+    factor = triangular(np.concatenate([columns, noise], axis=-1))
+    return cholesky_update(factor, residuals[:, 0], float(weights[0])) if down else factor
 
 
 def noise_root(
@@ -148,7 +152,8 @@ def cholesky_update(
 
     Column by column: for w > 0 a plane rotation moves the component of v into the diagonal (LINPACK
     `dchud`), for w < 0 a hyperbolic rotation in its mixed, stable form (Golub & Van Loan, Matrix
-    Computations, 4th ed., sec. 6.5). Cost: n steps of O(n), vectorized over the runs.
+    Computations, 4th ed., sec. 6.5). Where L has a zero pivot and v no component, up to rounding
+    errors, a downdate leaves the column alone. Cost: n steps of O(n), vectorized over the runs.
 
     Args:
         factor: L, lower triangular.
@@ -156,6 +161,7 @@ def cholesky_update(
         weight: w, of either sign.
     """
     out, x = factor.copy(), np.sqrt(abs(weight)) * vector
+    least = ROUNDING * np.vecdot(factor, factor)
     for k in range(factor.shape[-1]):
         column, pivot, head = out[:, k:, k].copy(), out[:, k, k, None], x[:, k, None]
         if weight >= 0:
@@ -165,8 +171,9 @@ def cholesky_update(
             out[:, k:, k] = cosine * column + sine * x[:, k:]
             x[:, k:] = cosine * x[:, k:] - sine * column
         else:
+            nothing = np.maximum(pivot**2, head**2) <= least[:, k, None]
             safe = np.where(pivot > 0, pivot, np.nan)
-            sine = head / safe
+            sine = np.where(nothing, 0.0, head / safe)
             square = (1.0 - sine) * (1.0 + sine)
             cosine = np.sqrt(np.where(square > 0, square, np.nan))
             out[:, k:, k] = (column - sine * x[:, k:]) / cosine

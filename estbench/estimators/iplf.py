@@ -9,7 +9,6 @@ import numpy as np
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.beliefs import start
-from estbench.estimators.factors import psd_root
 from estbench.estimators.over import OverFilter
 from estbench.estimators.posterior_linearization import Measured, Whitened, condition
 from estbench.estimators.protocol import Innovation
@@ -20,6 +19,7 @@ from estbench.estimators.update import apply_correction
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
 from estbench.spaces.linalg import symmetrize
+from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from estbench.estimators.settings import in_range
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.linalg import quadratic_form, symmetrize
+from estbench.spaces.linalg import symmetrize
+from estbench.spaces.semidefinite import range_form
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,8 @@ class LKF(GaussianEstimator):
         if self.handover_sigma is not None and not handed.all():
             # δ is an eigenvector of the reset Jacobian (eigenvalue 1): the same at x* and at x̂.
             delta = self.model.space.minus(belief.mean, belief.nominal)
-            handed = handed | (quadratic_form(belief.cov, delta) > self.handover_sigma**2)
+            form = range_form(belief.cov, delta, np.zeros_like(delta))
+            handed = handed | (form.value > self.handover_sigma**2)
         if not handed.any():
             return belief
         nominal = np.where(handed[:, None], belief.mean, belief.nominal)

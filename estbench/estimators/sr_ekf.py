@@ -13,12 +13,12 @@ from estbench.estimators.factors import (
     factor_settle,
     lost,
     noise_root,
-    psd_root,
     triangular,
 )
 from estbench.estimators.protocol import Innovation
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
+from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class SquareRootEKF(FactorEstimator):
         """x̂⁻ = f(x̂⁺, u); L⁻ from QR of [Φ L⁺, Q^½]."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
-        root = np.broadcast_to(psd_root(Q), F.shape)
-        factor = triangular(np.concatenate([F @ belief.factor, root], axis=-1))
-        return factor_belief(mean, factor, belief.fault, lost(root, np.broadcast_to(Q, F.shape)))
+        noise = np.broadcast_to(psd_root(Q), F.shape)
+        factor = triangular(np.concatenate([F @ belief.factor, noise], axis=-1))
+        return factor_belief(mean, factor, belief.fault, lost(noise, np.broadcast_to(Q, F.shape)))
 
     def update(
         self,
@@ -66,12 +66,12 @@ class SquareRootEKF(FactorEstimator):
             residual = np.where(mask, residual, 0.0)
             seen = np.where(mask[:, :, None], seen, 0.0)
         runs, m, n = seen.shape
-        root = noise_root(R, mask, runs)
+        noise = noise_root(R, mask, runs)
         array = np.zeros((runs, m + n, m + n))
-        array[:, :m, :m], array[:, :m, m:], array[:, m:, m:] = root, seen, belief.factor
+        array[:, :m, :m], array[:, :m, m:], array[:, m:, m:] = noise, seen, belief.factor
         array = triangular(array)
         innovation = factor_innovation(residual, array[:, :m, :m], mask)
         delta = (array[:, m:, :m] @ innovation.white[..., None])[..., 0]
-        fault = lost(root, np.broadcast_to(R, root.shape), Fault.INNOVATION)
+        fault = lost(noise, np.broadcast_to(R, noise.shape), Fault.INNOVATION)
         posterior = factor_settle(self.model.space, belief, delta, array[:, m:, m:], fault)
         return posterior, innovation

@@ -8,30 +8,30 @@ from estbench.estimators.beliefs import Fault
 from estbench.estimators.factors import (
     FactorBelief,
     FactorEstimator,
-    cholesky_update,
     factor_belief,
     factor_innovation,
     factor_settle,
     lost,
     noise_root,
-    psd_root,
-    triangular,
+    weighted_factor,
 )
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.linalg import solve_lower
+from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True)
 class SquareRootUKF(FactorEstimator):
     """Square-root UKF: it propagates a triangular factor of P and redraws points before the update.
 
-    The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the equally weighted residuals and Q^½, then a
-    rank-one update with the residual of the centre, whose weight may be negative. A measurement
-    subtracts K S^½ from L by one downdate per component. It equals the UKF up to rounding.
+    The factor of Σ wᵢ rᵢ rᵢᵀ + Q is the QR of the weighted residuals and Q^½. The update
+    triangularizes the array of the points and their images, as the square-root Kalman filter does
+    (Kailath, Sayed & Hassibi 2000, ch. 12), in place of the source's downdate of L⁻ by K S^½, which
+    loses the digits of L⁺ where that is much smaller than L⁻. Where the weight of the centre is
+    negative its residual follows as a rank-one downdate. It equals the UKF up to rounding.
 
     Cost per step: 2 n + 1 transitions and 2 n + 1 measurements, no Cholesky factorization of P.
     Choose it over the UKF where P is ill-conditioned.
@@ -39,7 +39,7 @@ class SquareRootUKF(FactorEstimator):
     Attributes:
         model: the filter's model.
         alpha, beta, kappa: of the scaled rule, as in `UKF`; at the default 1, 2, 0 the covariance
-            weight of the centre is 2, and the prediction needs no downdate.
+            weight of the centre is 2, and no downdate is needed.
     """
 
     model: Model
@@ -62,7 +62,8 @@ class SquareRootUKF(FactorEstimator):
         points = self.model.transition(points, u, t, dt)
         mean, residuals = self.rule.residuals(space, points)
         Q = self.model.process_noise(belief.mean, u, t, dt)
-        factor = self._factor(residuals, np.broadcast_to(psd_root(Q), belief.factor.shape))
+        noise = np.broadcast_to(psd_root(Q), belief.factor.shape)
+        factor = weighted_factor(self.rule.cov_weights, residuals, noise)
         return factor_belief(mean, factor, belief.fault, lost(factor, residuals))
 
     def update(
@@ -74,7 +75,7 @@ class SquareRootUKF(FactorEstimator):
         channels: Channels = None,
         mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[FactorBelief, Innovation]:
-        """K = (Pxy S^-ᵀ½) S^-½; L⁺ is L⁻ downdated by K S^½ (algorithm 3.1)."""
+        """The factor of [ν; x ⊖ x̂⁻] is [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
         space, output = self.model.space, self.model.output(channels)
         points = self.rule.draw(space, belief.mean, belief.factor)
         images = self.model.measurement(points, u, t, channels)
@@ -83,23 +84,15 @@ class SquareRootUKF(FactorEstimator):
         if mask is not None:
             residual = np.where(mask, residual, 0.0)
             residuals = np.where(mask[:, None, :], residuals, 0.0)
-        root = noise_root(self.model.measurement_noise(t, channels), mask, len(y))
-        root = self._factor(residuals, root)
-        innovation = factor_innovation(residual, root, mask)
+        runs, m = residual.shape
+        noise = np.zeros((runs, m + space.n, m))
+        noise[:, :m] = noise_root(self.model.measurement_noise(t, channels), mask, runs)
         spread = self.rule.points @ belief.factor.mT
-        cross = self.rule.cross(spread, residuals)
-        W = solve_lower(root, cross.mT)  # (K S^½)ᵀ
-        delta = (innovation.white[:, None] @ W)[:, 0]
-        factor = belief.factor
-        for component in range(W.shape[1]):
-            factor = cholesky_update(factor, W[:, component], -1.0)
-        unseen = lost(root, residuals, Fault.INNOVATION)
-        fault = np.where(unseen, unseen, lost(factor, W))
+        both = np.concatenate([residuals, spread], axis=-1)
+        joint = weighted_factor(self.rule.cov_weights, both, noise)
+        innovation = factor_innovation(residual, joint[:, :m, :m], mask)
+        delta = (joint[:, m:, :m] @ innovation.white[..., None])[..., 0]
+        factor = joint[:, m:, m:]
+        unseen = lost(joint[:, :m, :m], residuals, Fault.INNOVATION)
+        fault = np.where(unseen, unseen, lost(factor, spread))
         return factor_settle(space, belief, delta, factor, fault), innovation
-
-    def _factor(self, residuals: Array, noise: Array) -> Array:
-        """The factor of Σ wᵢ rᵢ rᵢᵀ + N Nᵀ; the first residual is that of the centre."""
-        weights = self.rule.cov_weights
-        columns = np.swapaxes(np.sqrt(weights[1]) * residuals[:, 1:], -1, -2)
-        factor = triangular(np.concatenate([columns, noise], axis=-1))
-        return cholesky_update(factor, residuals[:, 0], float(weights[0]))

@@ -11,7 +11,8 @@ from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.estimators.update import apply_correction, correct, mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
-from estbench.spaces.linalg import cholesky, symmetrize
+from estbench.spaces.linalg import symmetrize
+from estbench.spaces.semidefinite import psd_root
 
 PREDICTION, MEASUREMENT = range(2)
 """What sigma points are drawn for."""
@@ -19,12 +20,13 @@ PREDICTION, MEASUREMENT = range(2)
 
 @dataclass(frozen=True, eq=False)
 class SigmaBelief(Gaussian):
-    """A Gaussian with the propagated points that it is computed from.
+    """A Gaussian with the propagated points and the covariance that was added to theirs.
 
-    `points` is None after an update, and if the points are redrawn.
+    Both are None after an update, and if the points are redrawn.
     """
 
     points: Float[Array, "run point nx"] | None = None
+    noise: Float[Array, "*lead n n"] | None = None
 
 
 @dataclass(frozen=True)
@@ -53,18 +55,18 @@ class SigmaPointFilter(GaussianEstimator):
 
     def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ and P⁻ from the propagated points, P⁻ += Q (source 003, eq. 10)."""
-        lower, rule = cholesky(belief.cov), self.rule_at(belief, PREDICTION)
-        points = rule.draw(self.model.space, belief.mean, lower)
+        factor, rule = psd_root(belief.cov), self.rule_at(belief, PREDICTION)
+        points = rule.draw(self.model.space, belief.mean, factor)
         points = self.model.transition(points, u, t, dt)
         mean, residual, cov = rule.moments(self.model.space, points)
+        noise = self.model.process_noise(belief.mean, u, t, dt)
         if self.omega:
-            cov = cov + self.omega * rule.regress(residual, cov)[1]
-        Q = self.model.process_noise(belief.mean, u, t, dt)
-        prior = replace(
-            belief, mean=mean, cov=symmetrize(cov + Q),
-            points=None if self.redraw else self.rule.on_line(self.model.space, points),
-        )  # fmt: skip
-        return self.drawn(mark_failed(prior, failed_factor(lower, belief.cov)))
+            noise = noise + self.omega * rule.regress(residual, cov)[1]
+        kept = {}
+        if not self.redraw:
+            kept = {"points": self.rule.on_line(self.model.space, points), "noise": noise}
+        prior = replace(belief, mean=mean, cov=symmetrize(cov + noise), **kept)
+        return self.drawn(mark_failed(prior, failed_factor(factor, belief.cov)))
 
     def update(
         self,
@@ -75,27 +77,34 @@ class SigmaPointFilter(GaussianEstimator):
         channels: Channels = None,
         mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[Gaussian, Innovation]:
-        """P⁺ = P⁻ - K S Kᵀ with Pxy, S from the points' images (source 003, eq. 11)."""
+        """x̂⁺ and P⁺ = P⁻ - K S Kᵀ with Pxy, S from the points' images (source 003, eq. 11).
+
+        P⁺ is computed as Σ wᵢ rᵢ rᵢᵀ + K R Kᵀ with rᵢ = (xᵢ ⊖ x̂⁻) - K (h(xᵢ) ⊖ ŷ), the points' form
+        of Joseph's: it keeps P semidefinite, and its digits where P⁺ is much smaller than P⁻. What
+        S and P⁻ contain beside the points' covariance is treated as R and as noise of x̂⁻.
+        """
         space, output = self.model.space, self.model.output(channels)
         fault = np.zeros(len(y), np.uint8)
-        points = getattr(belief, "points", None)
+        points, noise = getattr(belief, "points", None), getattr(belief, "noise", None)
         redrawn, rule = points is None, self.rule_at(belief, MEASUREMENT)
         if points is None:
-            lower = cholesky(belief.cov)
-            fault = failed_factor(lower, belief.cov)
-            points = rule.draw(space, belief.mean, lower)
-            spread = rule.points @ lower.mT
+            factor = psd_root(belief.cov)
+            fault = failed_factor(factor, belief.cov)
+            points = rule.draw(space, belief.mean, factor)
+            spread = rule.points @ factor.mT
         else:
             spread = space.line.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
         predicted, residuals, S = rule.moments(output, images)
+        R = self.model.measurement_noise(t, channels)
         if self.omega and redrawn:
-            S = S + self.omega * rule.regress(residuals, S)[1]
-        S = symmetrize(S + self.model.measurement_noise(t, channels))
+            R = R + self.omega * rule.regress(residuals, S)[1]
         cross = rule.cross(spread, residuals)
-        c = correct(output.minus(y, predicted), S, cross, mask)
-        cov = symmetrize(belief.cov - c.reduction)
-        prior = belief if redrawn else replace(belief, points=None)
+        c = correct(output.minus(y, predicted), symmetrize(S + R), cross, mask)
+        left = spread - residuals @ c.gain.mT
+        cov = rule.cross(left, left) + c.gain @ R @ c.gain.mT
+        cov = symmetrize(cov if noise is None else cov + noise)
+        prior = belief if redrawn else replace(belief, points=None, noise=None)
         fault = np.where(fault, fault, c.fault)
         posterior = apply_correction(space, prior, c.delta, cov, fault)
         return self.drawn(posterior, c.innovation), c.innovation
@@ -113,10 +122,10 @@ class SigmaPointFilter(GaussianEstimator):
 
 
 def failed_factor(
-    lower: Float[Array, "run n n"], cov: Float[Array, "run n n"]
+    factor: Float[Array, "run n n"], cov: Float[Array, "run n n"]
 ) -> UInt[Faults, " run"]:
-    """`Fault.COVARIANCE` where a finite covariance has no Cholesky factor."""
-    failed = ~np.isfinite(lower[:, 0, 0]) & np.isfinite(cov[:, 0, 0])
+    """`Fault.COVARIANCE` where a finite covariance has no square root."""
+    failed = ~np.isfinite(factor[:, 0, 0]) & np.isfinite(cov[:, 0, 0])
     return np.where(failed, Fault.COVARIANCE, Fault.NONE).astype(np.uint8)
 
 

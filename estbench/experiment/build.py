@@ -136,7 +136,7 @@ def initial(
     """x̂₀ and P₀.
 
     Raises:
-        CovarianceError: P₀ is not positive definite.
+        CovarianceError: P₀ is not positive semidefinite.
         DimensionError: the count of values or the shape of P₀ is wrong.
     """
     mean = x0.copy()
@@ -156,14 +156,14 @@ def initial(
     mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
     if section.cov is None:
         std = expand(section.std, space.names, "initial.std")
-        if not (std > 0).all():
+        if not (std >= 0).all():
             worst = int(std.argmin())
             raise CovarianceError(
-                f"initial.std is {std[worst]:g} for {space.names[worst]}; P₀ must be positive "
-                "definite, so give every coordinate a std above 0 (later patterns win)"
+                f"initial.std is {std[worst]:g} for {space.names[worst]}; use a std of at least 0, "
+                "0 for a coordinate that is known exactly (later patterns win)"
             )
         return mean, np.diag(std**2)
-    return mean, datasheet.matrix(section.cov, space, "initial.cov", "P₀")
+    return mean, datasheet.matrix(section.cov, space, "initial.cov", "P₀", definite=False)
 
 
 def believed_channels(

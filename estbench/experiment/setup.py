@@ -30,6 +30,7 @@ from estbench.shapes import Array, Float
 from estbench.simulation import controllers
 from estbench.simulation.truth import Simulator
 from estbench.spaces.manifold import Manifold
+from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +185,7 @@ class Setup:
         timed: bool = False,
     ) -> Simulator:
         """The true robot in many rows; see `Simulator`."""
-        factor = np.asarray(np.linalg.cholesky(self.cov), np.float64)
+        factor = psd_root(self.cov)
         return Simulator(
             self.plant.model,
             self.space,

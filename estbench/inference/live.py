@@ -16,9 +16,10 @@ from estbench.inference.latest import LatestInnovations
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.shapes import Array, Float, Int, Ints, Keys, Mask, UInt
-from estbench.spaces.linalg import quadratic_form, quiet, surely_finite
+from estbench.spaces.linalg import quiet, surely_finite
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.selection import chosen
+from estbench.spaces.semidefinite import RESOLUTION, full_rank, range_form
 
 
 @dataclass(eq=False)
@@ -51,7 +52,7 @@ class LiveFilter:
         channels: channel -> the manifold of its readings, in the measurement's order.
         rows: how many robots.
         delays: what to do about late readings.
-        threshold: a row has diverged while NEES/n is above this.
+        threshold: a row has diverged while NEES, divided by its degrees of freedom, is above this.
         by_clock: whether estimator or model depend on the time.
 
     Attributes:
@@ -79,6 +80,7 @@ class LiveFilter:
         self.estimate = np.zeros((rows, space.nx))
         self.cov = np.zeros((rows, space.n, space.n))
         self.failed = np.zeros(rows, bool)
+        self._size = np.zeros((rows, space.n))  # largest of each coordinate so far
         width = sum(channel.n for channel in channels.values())
         self.innovation = np.zeros((rows, width))
         self.nis, self.dof = np.zeros(rows), np.zeros(rows, np.int64)
@@ -106,6 +108,7 @@ class LiveFilter:
         except Exception as error:  # a user's estimator may raise anything
             raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
         self.estimate[rows], self.cov[rows], self.failed[rows] = mean[rows], cov[rows], False
+        self._size[rows] = 0.0
         self.innovation[rows], self.nis[rows], self.dof[rows] = 0.0, 0.0, 0
 
     def begin(self) -> None:
@@ -146,14 +149,17 @@ class LiveFilter:
             truth: x `(row, nx)`.
 
         Returns:
-            truth, estimate `(row, nx)`; error x ⊖ x̂ `(row, n)`; nees `(row,)`, inf where P is
-            singular or the filter has failed; innovation `(row, m)`; nis and nis_dof `(row,)`;
-            diverged `(row,)`: the filter has failed, or NEES/n is above the threshold.
+            truth, estimate `(row, nx)`; error x ⊖ x̂ `(row, n)`; nees `(row,)`, on the range of P,
+            inf where P is not semidefinite or the filter has failed; nees_dof `(row,)`, its degrees
+            of freedom; innovation `(row, m)`; nis and nis_dof `(row,)`; diverged `(row,)`: the
+            filter has failed, or NEES/nees_dof is above the threshold.
         """
         with quiet():
             error = self.space.minus(truth, self.estimate)
-            nees = self._nees(error)
-        diverged = nees > self._threshold * self.space.n
+            size = self.space.magnitude(truth), self.space.magnitude(self.estimate)
+            self._size = np.fmax(self._size, np.fmax(*size))
+            nees, nees_dof = self._nees(error)
+        diverged = nees > self._threshold * np.maximum(nees_dof, 1)
         if np.count_nonzero(self.failed) or not surely_finite(nees):
             bad = ~np.isfinite(nees) | self.failed
             nees[bad] = np.inf
@@ -163,6 +169,7 @@ class LiveFilter:
             "estimate": self.estimate.copy(),
             "error": error,
             "nees": nees,
+            "nees_dof": nees_dof,
             "nis": _without_nan(self.nis, np.inf),
             "nis_dof": self.dof.copy(),
             "innovation": _without_nan(self.innovation),
@@ -233,12 +240,15 @@ class LiveFilter:
         self.innovation[here_now], self.nis[here_now] = log.innovation[here], log.nis[here]
         self.dof[here_now] = log.dof[here]
 
-    def _nees(self, error: Array) -> Array:
-        """NEES `(row,)`; NaN where P has no Cholesky factor."""
-        if self.rows > 1:
-            return quadratic_form(self.cov, error)
-        *_, solved, fault = dposv(self.cov[0], error[0])  # a fifth of the time, for one row
-        return np.array([error[0] @ solved if fault == 0 else np.nan])
+    def _nees(self, error: Array) -> tuple[Array, Ints]:
+        """NEES and its degrees of freedom `(row,)`; NaN where P is not semidefinite."""
+        resolution = RESOLUTION * self._size
+        if self.rows == 1:  # a fifth of the time
+            factor, solved, fault = dposv(self.cov[0], error[0])
+            if fault == 0 and full_rank(factor, self.cov[0], resolution[0]).all():
+                return np.array([error[0] @ solved]), np.array([self.space.n])
+        form = range_form(self.cov, error, resolution)
+        return form.value, form.dof
 
 
 def _of(delivery: Delivery, rows: Ints, going: Mask) -> Delivery | None:

@@ -11,8 +11,8 @@ from estbench.estimators.beliefs import Fault
 from estbench.estimators.protocol import Estimator
 from estbench.inference.lags import correlation
 from estbench.shapes import Array, Bool, Faults, Float, Int, Ints, Mask, UInt
-from estbench.spaces.linalg import quadratic_form
 from estbench.spaces.manifold import Manifold
+from estbench.spaces.semidefinite import RESOLUTION, range_form
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,9 @@ class Traces:
         truth: x.
         mean: x̂.
         error: x ⊖ x̂.
-        std: sqrt of P's diagonal.
-        nees: NEES, not divided by n.
+        std: sqrt of P's diagonal; 0 where the coordinate is known exactly.
+        nees: NEES on the range of P, not divided by its degrees of freedom.
+        rank: degrees of freedom of NEES: n, less what P says is known exactly.
         nis: NIS, not divided by m; NaN where nothing arrived.
         dof: how many components arrived.
         log_likelihood: log p(y | earlier readings), 0 where nothing arrived.
@@ -46,6 +47,7 @@ class Traces:
     error: Float[Array, "time run n"]
     std: Float[Array, "time run n"]
     nees: Float[Array, "time run"]
+    rank: Int[Ints, "time run"]
     nis: Float[Array, "time-1 run"]
     dof: Int[Ints, "time-1 run"]
     log_likelihood: Float[Array, "time-1 run"]
@@ -77,7 +79,8 @@ class Recorder:
         self._estimator, self._space = estimator, space
         self.truth, self.mean = (np.empty((count + 1, runs, space.nx)) for _ in range(2))
         self._error, self._std = (np.empty((count + 1, runs, n)) for _ in range(2))
-        self._nees = np.empty((count + 1, runs))
+        self._nees, self._rank = np.empty((count + 1, runs)), np.empty((count + 1, runs), np.int64)
+        self._size = np.zeros((runs, n))
         self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
         self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
 
@@ -92,9 +95,14 @@ class Recorder:
             )
         self.truth[index], self.mean[index] = x, m
         self._error[index] = self._space.minus(x, m)
-        variance = np.diagonal(P, axis1=-2, axis2=-1)
-        self._std[index] = np.sqrt(np.where(variance > 0, variance, np.nan))
-        self._nees[index] = quadratic_form(P, self._error[index])
+        # A coordinate that was large has the rounding errors of that time, though it is small now.
+        self._size = np.fmax(
+            self._size, np.fmax(self._space.magnitude(x), self._space.magnitude(m))
+        )
+        form = range_form(P, self._error[index], RESOLUTION * self._size)
+        variance = np.where(form.known, 0.0, np.diagonal(P, axis1=-2, axis2=-1))
+        self._std[index] = np.sqrt(np.where(variance >= 0, variance, np.nan))
+        self._nees[index], self._rank[index] = form.value, form.dof
         if self._cov is not None:
             self._cov[index] = P
         broken = ~np.isfinite(self._nees[index])
@@ -123,5 +131,5 @@ class Recorder:
         """What was recorded, with what the event loop counted."""
         return Traces(
             truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
-            fault=self._fault, fault_step=self._fault_step, cov=self._cov, **fused,
+            rank=self._rank, fault=self._fault, fault_step=self._fault_step, cov=self._cov, **fused,
         )  # fmt: skip

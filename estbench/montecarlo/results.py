@@ -13,6 +13,7 @@ from estbench.consistency import statistics
 from estbench.consistency.fields import Record
 from estbench.consistency.nees import Verdict
 from estbench.consistency.statistics import COST, RMSE, Summary
+from estbench.consistency.summary import exactly_known
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.tables.cells import cell, per_coordinate, plain, value_of
@@ -91,6 +92,7 @@ class Results:
         parts += [Text(f"note: {notice}", style="dim") for notice in self.notices]
         parts += [_verdicts(self.summaries, self.scenario.consistency.level)]
         parts += [_accuracy(self.summaries, self.names, self.units)]
+        parts += [Text(line, style="dim") for line in _known(self.summaries, self.names)]
         parts += [Text(line, style="red") for line in _failures(self.summaries)]
         parts += [Text(line, style="yellow") for line in _late(self.summaries)]
         if self.folder is not None:
@@ -116,6 +118,7 @@ class Results:
                     **per_coordinate(s, statistics.of("coordinate"), self.names, self.units),
                     "failures": [vars(f) for f in s.failures],
                     "late_readings": s.late,
+                    "known_exactly": {n: x for n, x in zip(self.names, s.known) if x > 0},
                 }
                 for s in self.summaries
             },
@@ -182,6 +185,15 @@ def _accuracy(
     notes = [s.note for s in found if s.note] if detailed else [RMSE.note]
     note = textwrap.fill(f"{'; '.join(notes)}.", NOTE_WIDTH - 15)
     return Group(Table(keys, tuple(groups)), Text(note, style="dim"))
+
+
+def _known(summaries: tuple[Summary, ...], names: tuple[str, ...]) -> list[str]:
+    """What is known exactly, estimators of which the same is to be said together."""
+    said: dict[str, list[str]] = {}
+    for s in summaries:
+        if note := exactly_known(s, names):
+            said.setdefault(note, []).append(s.label)
+    return [f"note: {', '.join(labels)}: {note}" for note, labels in said.items()]
 
 
 def _failures(summaries: tuple[Summary, ...], most: int = 3) -> list[str]:

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from estbench.shapes import Array, Float, Keys, UInt
-from estbench.spaces.linalg import cholesky, symmetrize
+from estbench.spaces.linalg import cholesky
+from estbench.spaces.semidefinite import eigen_root, psd_root
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
@@ -63,15 +64,13 @@ def gaussian(
 def square_root(cov: Float[Array, "run n n"]) -> Float[Array, "run n n"]:
     """S with S Sᵀ = P: Cholesky, or by eigenvalues where P is singular.
 
-    NaN where P has an eigenvalue below -1e-9 of its largest.
+    NaN where P has a negative eigenvalue beyond rounding errors, see `psd_root`.
     """
     out = cholesky(cov)
     failed = ~np.isfinite(out[:, 0, 0]) & np.isfinite(cov).all(axis=(-2, -1))
     if failed.any():
-        values, vectors = np.linalg.eigh(symmetrize(cov[failed]))
-        semidefinite = values[:, :1] >= -1e-9 * np.abs(values).max(axis=-1, keepdims=True)
-        root = np.where(semidefinite, np.sqrt(np.clip(values, 0.0, None)), np.nan)
-        out[failed] = vectors * root[:, None, :]
+        root, _ = eigen_root(cov[failed])
+        out[failed] = np.where(np.isfinite(psd_root(cov[failed])), root, np.nan)
     return out
 
 

@@ -22,14 +22,10 @@ from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
 from estbench.robots.layout import actuator_names
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import (
-    is_positive_semidefinite,
-    psd_factor,
-    rescaled,
-    row_product,
-)
+from estbench.spaces.linalg import is_positive_semidefinite, rescaled, row_product
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
+from estbench.spaces.semidefinite import eigen_root
 
 Kind = Literal["additive", "force", "actuator"]
 
@@ -91,7 +87,7 @@ class Disturbance:
                 )
             if not is_positive_semidefinite(Q):
                 raise CovarianceError("process_noise.matrix is not symmetric positive semidefinite")
-        factor = psd_factor(Q)
+        factor = eigen_root(Q)[0]
         return cls(kind, Q, factor[:, np.abs(factor).max(axis=0, initial=0.0) > 0])
 
     @property
@@ -114,7 +110,7 @@ class Disturbance:
         if np.ndim(first) < 2:
             return replace(self, schedule=schedule)
         density = np.asarray(first)  # all columns: one that is zero now may not be so later
-        return replace(self, density=density, factor=psd_factor(density), schedule=schedule)
+        return replace(self, density=density, factor=eigen_root(density)[0], schedule=schedule)
 
     def root(self, t: float) -> Float[Array, "k rank"]:
         """A square root of Q_s at t."""
@@ -122,7 +118,7 @@ class Disturbance:
             return self.factor
         value = np.asarray(self.schedule(t))
         if value.ndim == 2:
-            return np.sqrt(self.scale) * psd_factor(value)
+            return np.sqrt(self.scale) * eigen_root(value)[0]
         return np.sqrt(value)[..., None] * self.factor
 
     def _density(self, t: float) -> Array:

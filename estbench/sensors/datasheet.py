@@ -8,7 +8,7 @@ from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.scenario.schema import ChannelSection
 from estbench.sensors.imperfections import Imperfections
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import is_positive_definite
+from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite
 from estbench.spaces.manifold import Manifold
 
 # Standard deviation assumed for a sensor without noise, by unit: typical of a good robot.
@@ -24,13 +24,17 @@ ALLAN_FLOOR = 0.6643
 
 
 def matrix(
-    given: Sequence[Sequence[float]], space: Manifold, where: str, symbol: str
+    given: Sequence[Sequence[float]],
+    space: Manifold,
+    where: str,
+    symbol: str,
+    definite: bool = True,
 ) -> Float[Array, "n n"]:
     """A full covariance from a scenario, in the tangent space of `space`.
 
     Raises:
         DimensionError: the shape is not `(n, n)`.
-        CovarianceError: the matrix is not symmetric positive definite.
+        CovarianceError: the matrix is not symmetric positive definite, or semidefinite.
     """
     cov = np.asarray(given, dtype=np.float64)
     if cov.shape != (space.n, space.n):
@@ -38,8 +42,9 @@ def matrix(
             f"{where} has shape {cov.shape}; expected {(space.n, space.n)} "
             f"({', '.join(space.names)})"
         )
-    if not is_positive_definite(cov):
-        raise CovarianceError(f"{where} ({symbol}) is not symmetric positive definite")
+    if not (is_positive_definite if definite else is_positive_semidefinite)(cov):
+        kind = "definite" if definite else "semidefinite"
+        raise CovarianceError(f"{where} ({symbol}) is not symmetric positive {kind}")
     return cov
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.beliefs import Gaussian, start
+from estbench.estimators.factors import FactorBelief
 from estbench.estimators.iplf import IPLF
 from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
@@ -17,6 +18,7 @@ from estbench.estimators.settings import base, in_range, one_of, table, whole
 from estbench.estimators.ukf import SigmaPointFilter
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float, Keys, UInt
+from estbench.smoothers.backward import gaussian
 from estbench.smoothers.ipls import ipls
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
@@ -64,9 +66,14 @@ class FilterThenSmooth(OverFilter):
         """P `(run, n, n)`, filtered or smoothed."""
         return belief.cov if type(belief) is Gaussian else self._filter.cov(belief)
 
-    def _gaussians(self, beliefs: Sequence[Any]) -> list[Gaussian]:
-        """The filter's beliefs as plain Gaussians."""
-        return [Gaussian(mean := self.mean(b), self.cov(b), _fault(b, len(mean))) for b in beliefs]
+    def _posteriors(self, beliefs: Sequence[Any]) -> list[Gaussian | FactorBelief]:
+        """The filter's beliefs as plain Gaussians; those of a square-root filter as they are."""
+        return [
+            b
+            if isinstance(b, FactorBelief)
+            else Gaussian(mean := self.mean(b), self.cov(b), _fault(b, len(mean)))
+            for b in beliefs
+        ]
 
 
 @dataclass(frozen=True)
@@ -79,11 +86,12 @@ class RTS(FilterThenSmooth):
     to see what a run's data are worth when all of them may be used.
     """
 
+    base: str = "sr_ekf"
     bases: ClassVar[tuple[str, ...]] = ("ekf", "iekf", "sr_ekf", "kf", "lkf", "cd_ekf")
 
     def smooth(self, history: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
-        posteriors = self._gaussians(history.beliefs)
+        posteriors = self._posteriors(history.beliefs)
         return rts(self.model, posteriors, history.controls, history.times)
 
 
@@ -97,12 +105,12 @@ class URTS(FilterThenSmooth):
     it where you would choose the UKF.
     """
 
-    base: str = "ukf"
+    base: str = "sr_ukf"
     bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf")
 
     def smooth(self, history: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
-        posteriors = self._gaussians(history.beliefs)
+        posteriors = self._posteriors(history.beliefs)
         rule = getattr(self._filter, "rule", None)
         return urts(self.model, posteriors, history.controls, history.times, rule)
 
@@ -137,8 +145,9 @@ class IPLS(FilterThenSmooth):
         filter = self._filter
         assert isinstance(filter, SigmaPointFilter | IPLF)
         return ipls(
-            self.model, self._gaussians(history.beliefs), history.controls, history.times,
-            history.measurements, lambda k, purpose: filter.rule_at(history.beliefs[k], purpose),
+            self.model, [gaussian(b) for b in self._posteriors(history.beliefs)],
+            history.controls, history.times, history.measurements,
+            lambda k, purpose: filter.rule_at(history.beliefs[k], purpose),
             omega=filter.omega, iterations=self.iterations, tolerance=self.tolerance,
         )  # fmt: skip
 
@@ -185,7 +194,7 @@ class MAP(FilterThenSmooth):
 
     def smooth(self, history: FilterHistory) -> list[Gaussian]:
         """Window after window."""
-        filtered, times = self._gaussians(history.beliefs), np.asarray(history.times)
+        filtered, times = self._posteriors(history.beliefs), np.asarray(history.times)
         smoothed = []
         first = 0
         while first < len(times) - 1:
@@ -193,7 +202,8 @@ class MAP(FilterThenSmooth):
             last = max(int(np.searchsorted(times, end, "right")) - 1, first + 1)
             part = slice(first, last + 1)
             fit = map_estimate(
-                self.model, filtered[first], history.controls[first:last], history.times[part],
+                self.model, gaussian(filtered[first]),
+                history.controls[first:last], history.times[part],
                 # The filter has fused the first ones already.
                 [[], *history.measurements[first + 1 : last + 1]],
                 start=[belief.mean for belief in filtered[part]],

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian
-from estbench.estimators.factors import psd_root
 from estbench.estimators.linear import joseph
 from estbench.estimators.protocol import Measurement
 from estbench.estimators.sigma_points import SigmaPoints
@@ -14,9 +13,10 @@ from estbench.estimators.ukf import MEASUREMENT, PREDICTION
 from estbench.estimators.update import correct, mark_failed
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
-from estbench.smoothers.rts import check_lengths, smooth_step
+from estbench.smoothers.backward import check_lengths, joint_factor, resolution, smooth_step
 from estbench.spaces.linalg import identity, solve_lower_transposed, symmetrize
 from estbench.spaces.manifold import Manifold
+from estbench.spaces.semidefinite import eigen_root, psd_root, range_root
 
 Rules = Callable[[int, int], SigmaPoints]
 """The sigma points for a number of a time and PREDICTION or MEASUREMENT."""
@@ -74,11 +74,11 @@ def ipls(
         DimensionError: the lists' lengths do not fit.
     """
     check_lengths(beliefs, controls, times)
-    prior, smoothed = beliefs[0], list(beliefs)
+    prior, smoothed, known = beliefs[0], list(beliefs), resolution(model.space, beliefs)
     active = np.ones(len(prior.mean), bool)
     for _ in range(iterations):
         about = _linearized(model, smoothed, controls, times, measurements, rules, omega)
-        errors = _smoothed_errors(model.space, prior, smoothed[0], *about, measurements)
+        errors = _smoothed_errors(model.space, prior, smoothed[0], *about, measurements, known)
         moved = np.zeros(len(active))
         for k, (old, error) in enumerate(zip(smoothed, errors)):
             std = np.sqrt(np.diagonal(error.cov, axis1=-2, axis2=-1))
@@ -142,6 +142,7 @@ def _smoothed_errors(
     steps: Sequence[_Affine],
     seen: Sequence[Sequence[_Affine]],
     measurements: Sequence[Sequence[Measurement]],
+    known: Array,
 ) -> list[Gaussian]:
     """Kalman filter and RTS smoother of the affine model, for the errors in the tangents."""
     flat = Manifold.euclidean(space.n)
@@ -153,7 +154,7 @@ def _smoothed_errors(
         if affine is not None:
             error = affine.offset + (affine.slope @ error[..., None])[..., 0]
             cov = symmetrize(affine.slope @ cov @ affine.slope.mT + affine.noise)
-            predicted.append(Gaussian(error, cov, fault))
+            predicted.append(error)
         for h, m in zip(seen[k], measurements[k]):
             residual = h.offset - (h.slope @ error[..., None])[..., 0]
             cross = cov @ h.slope.mT
@@ -163,8 +164,11 @@ def _smoothed_errors(
         filtered.append(Gaussian(error, cov, fault))
     smoothed = [filtered[-1]]
     for now, affine, ahead in zip(filtered[-2::-1], steps[::-1], predicted[::-1]):
-        cross = now.cov @ affine.slope.mT
-        smoothed.append(smooth_step(flat, now, ahead.mean, ahead.cov, cross, smoothed[-1]))
+        # Ω, a difference, may be below zero by rounding errors.
+        finite = np.isfinite(affine.noise).all(axis=(-2, -1), keepdims=True)
+        noise, _ = eigen_root(np.where(finite, affine.noise, 0.0))
+        joint = joint_factor(affine.slope, range_root(now.cov), noise)
+        smoothed.append(smooth_step(flat, now, ahead, joint, smoothed[-1], known))
     return smoothed[::-1]
 
 

@@ -20,7 +20,7 @@ from estbench.estimators.protocol import Measurement
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
-from estbench.smoothers.rts import check_lengths
+from estbench.smoothers.backward import check_lengths
 from estbench.spaces.linalg import quadratic_form, symmetrize
 from estbench.spaces.manifold import carry
 

@@ -3,12 +3,21 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from estbench.estimators.beliefs import Gaussian
+from estbench.estimators.factors import weighted_factor
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
-from estbench.smoothers.rts import check_lengths, gaussian, smooth_step
-from estbench.spaces.linalg import cholesky, symmetrize
+from estbench.smoothers.backward import (
+    check_lengths,
+    gaussian,
+    resolution,
+    smooth_step,
+    square_root,
+)
+from estbench.spaces.semidefinite import psd_root
 
 
 def urts(
@@ -36,13 +45,16 @@ def urts(
     """
     check_lengths(posteriors, controls, times)
     space, rule = model.space, rule or scaled(model.space.n)
+    known = resolution(space, posteriors)
     smoothed = [gaussian(posteriors[-1])]
     for k in reversed(range(len(controls))):
-        now, u, t, dt = gaussian(posteriors[k]), controls[k], times[k], times[k + 1] - times[k]
-        lower = cholesky(now.cov)
-        points = model.transition(rule.draw(space, now.mean, lower), u, t, dt)
-        mean, residual, cov = rule.moments(space, points)
-        cross = rule.cross(rule.points @ lower.mT, residual)
-        cov = symmetrize(cov + model.process_noise(now.mean, u, t, dt))
-        smoothed.append(smooth_step(space, now, mean, cov, cross, smoothed[-1]))
+        now, u, t, dt = posteriors[k], controls[k], times[k], times[k + 1] - times[k]
+        root = square_root(now)
+        points = model.transition(rule.draw(space, now.mean, root), u, t, dt)
+        mean = space.mean(points, rule.mean_weights)
+        both = np.concatenate([space.minus(points, mean[:, None]), rule.points @ root.mT], axis=-1)
+        noise = np.zeros((len(root), 2 * space.n, space.n))
+        noise[:, : space.n] = psd_root(model.process_noise(now.mean, u, t, dt))
+        joint = weighted_factor(rule.cov_weights, both, noise)
+        smoothed.append(smooth_step(space, gaussian(now), mean, joint, smoothed[-1], known))
     return smoothed[::-1]

@@ -135,15 +135,6 @@ def quadratic_form(
     return np.vecdot(white, white)
 
 
-def psd_factor(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """A square root S with S Sᵀ = A for one symmetric positive semidefinite A.
-
-    It is computed from the eigenvalues, since Q is often singular (no noise on the positions).
-    """
-    values, vectors = np.linalg.eigh(symmetrize(a))
-    return vectors * np.sqrt(np.clip(values, 0.0, None))
-
-
 def rescaled(a: Float[Array, "n n"], value: float | Array) -> Float[Array, "n n"]:
     """The covariance D A D with a diagonal D, or another covariance in place of A.
 

@@ -349,10 +349,10 @@ BAD = {
         ("run", "cartpole", "--set", "channels.pole_encoder.cov=[[-1.0]]"),
         r"channels.pole_encoder.cov \(R\) is not symmetric positive definite",
     ),
-    "P0": (("run", "cartpole", "--set", "initial.std=0"), "initial.std is 0 for cart; P₀ must"),
+    "P0": (("run", "cartpole", "--set", "initial.std=-1"), "initial.std is -1 for cart; use a"),
     "P0 matrix": (
         ("run", "pendulum", "--set", "initial.cov=[[1.0, 2.0], [2.0, 1.0]]"),
-        r"initial.cov \(P₀\) is not symmetric positive definite",
+        r"initial.cov \(P₀\) is not symmetric positive semidefinite",
     ),
     "Q": (
         ("run", "pendulum", "--set", 'process_noise.density."hinge.vel"=-1'),

@@ -12,8 +12,9 @@ def test_expected_shares_are_those_of_a_normal_error():
 def test_inside_by_hand():
     error = np.array([[[0.5], [-2.0]], [[-1.0], [np.nan]], [[2.5], [1.0]], [[3.5], [6.0]]])
     std = np.array([[[1.0], [1.0]], [[1.0], [1.0]], [[1.0], [0.0]], [[1.0], [2.0]]])
-    # (step, run, coordinate); run 0: 0.5 1 2.5 3.5, run 1: 2 NaN inf 3
-    np.testing.assert_allclose(inside(error, std)[:, 0], [[0.5, 0.5, 0.75], [0.0, 0.25, 0.5]])
+    # (step, run, coordinate); run 0: 0.5 1 2.5 3.5, run 1: 2 NaN (known exactly) 3
+    np.testing.assert_allclose(inside(error, std)[:, 0], [[0.5, 0.5, 0.75], [0.0, 1 / 3, 2 / 3]])
+    assert np.isnan(inside(error, np.zeros_like(std))).all()  # no step counts
 
 
 def test_mean_and_interval_across_runs():

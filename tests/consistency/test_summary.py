@@ -24,7 +24,7 @@ def traces(runs=6, steps=4, n=2, seed=0, spread=1.0):
     mean = rng.standard_normal(error.shape)
     return Traces(
         truth=mean + error, mean=mean, error=error, std=np.ones_like(error) * rng.uniform(1, 2, n),
-        nees=(error**2).sum(axis=-1), nis=nis, dof=dof,
+        nees=(error**2).sum(axis=-1), rank=np.full((steps + 1, runs), n), nis=nis, dof=dof,
         log_likelihood=np.where(dof > 0, rng.standard_normal(dof.shape), 0.0),
         gated=np.minimum(dof, 1), channel_nis=np.stack([nis, np.where(dof > 1, nis, np.nan)], -1),
         lags=rng.normal(0, 1, (runs, 3)), lag_terms=np.tile([9, 8, 7], (runs, 1)),
@@ -203,7 +203,7 @@ def test_summary_by_hand():
     assert summary.anees_median == pytest.approx(np.sort(record["anees"][good])[3])
     assert summary.cost == pytest.approx(1e6 * 6e-3 / 7 / 4)
     assert summary.failures == (
-        statistics.Failure(11, 0.3, "the state covariance P is not positive definite"),
+        statistics.Failure(11, 0.3, "the state covariance P is not positive semidefinite"),
     )
 
 

@@ -19,7 +19,17 @@ IMPERFECT = [
     "channels.cart_encoder.latency=0.035", "channels.cart_encoder.latency_std=0.01",
     'truth.draw={"body_mass.pole" = {relative_std = 0.2}}',
 ]  # fmt: skip
-FIELDS = ("truth", "estimate", "error", "nees", "nis", "nis_dof", "innovation", "diverged")
+FIELDS = (
+    "truth",
+    "estimate",
+    "error",
+    "nees",
+    "nees_dof",
+    "nis",
+    "nis_dof",
+    "innovation",
+    "diverged",
+)
 
 
 def pair(name="CartPole", rows=5, mode="NextStep", **kwargs):

@@ -9,7 +9,17 @@ from gymnasium.vector import AutoresetMode
 
 from estbench.envs import EnvError, EstimatedObservation, RecordTruth, VectorEstimatedObservation
 
-FIELDS = ("truth", "estimate", "error", "nees", "nis", "nis_dof", "innovation", "diverged")
+FIELDS = (
+    "truth",
+    "estimate",
+    "error",
+    "nees",
+    "nees_dof",
+    "nis",
+    "nis_dof",
+    "innovation",
+    "diverged",
+)
 
 
 @pytest.fixture(autouse=True)

@@ -344,7 +344,7 @@ def test_only_mujoco_environments():
          "noise is -1"),
         ({"estimator": "ukff"}, EstimatorError, "no estimator 'ukff' .did you mean 'ukf'"),
         ({"estimator": {"alpha": 1}}, EnvError, "a table needs a type"),
-        ({"estimator": "ukf", "initial_std": 0.0}, EstimatorError,
+        ({"estimator": "filterpy_ukf", "initial_std": 0.0}, EstimatorError,
          "UKF: initial_std is 0 for slider.*use 'ekf'"),
         ({"initial_std": -1}, CovarianceError, "initial_std is -1"),
         ({"initial_std": [1, 2]}, DimensionError, "initial_std has 2 values; expected 1 or 4"),

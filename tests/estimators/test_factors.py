@@ -8,8 +8,8 @@ from estbench.estimators.factors import (
     cholesky_update,
     lost,
     noise_root,
-    psd_root,
     triangular,
+    weighted_factor,
 )
 from tests.helpers import random_cov
 
@@ -66,18 +66,23 @@ def test_triangular_has_the_same_product(shape):
     np.testing.assert_array_equal(L, np.tril(L))
 
 
-def test_a_root_of_a_semidefinite_matrix():
-    definite, singular = np.eye(3), np.diag([4.0, 0.0, 0.0])
-    indefinite, broken = np.diag([1.0, -1.0, 1.0]), np.full((3, 3), np.nan)
-    root = psd_root(np.stack([definite, singular, indefinite, broken, np.zeros((3, 3))]))
-    np.testing.assert_array_equal(root[0], definite)
-    np.testing.assert_allclose(root[1] @ root[1].T, singular, rtol=1e-10, atol=1e-14)
-    assert np.isnan(root[2]).any()
-    assert np.isnan(root[3]).all()
-    np.testing.assert_array_equal(root[4], 0.0)
-    np.testing.assert_allclose(
-        psd_root(singular) @ psd_root(singular).T, singular, rtol=1e-10, atol=1e-14
-    )
+@pytest.mark.parametrize("weights", [[2.0, 0.25, 0.25], [-1.0, 0.5, 0.5]])
+def test_weighted_residuals_have_the_factor_of_their_sum(weights):
+    rng = np.random.default_rng(0)
+    residuals, noise = rng.standard_normal((4, 3, 2)), rng.standard_normal((4, 2, 2))
+    residuals[:, 0] *= 0.1
+    weights = np.array(weights)
+    total = np.einsum("p,rpi,rpj->rij", weights, residuals, residuals) + noise @ noise.mT
+    L = weighted_factor(weights, residuals, noise)
+    np.testing.assert_allclose(L @ L.mT, total, rtol=1e-10, atol=1e-12)
+    np.testing.assert_array_equal(L, np.tril(L))
+
+
+def test_a_downdate_of_a_singular_factor_in_its_range():
+    factor = np.array([[[0.0, 0.0], [0.0, 2.0]]])
+    out = cholesky_update(factor, np.array([[0.0, 1.2]]), -1.0)
+    np.testing.assert_allclose(out[0], np.diag([0.0, 1.6]), rtol=1e-12)
+    assert np.isnan(cholesky_update(factor, np.array([[0.1, 1.2]]), -1.0)).any()
 
 
 def test_noise_of_what_did_not_arrive_is_one():

@@ -11,9 +11,10 @@ from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.protocol import Measurement
 from estbench.estimators.ukf import UKF
+from estbench.smoothers.backward import joint_factor, smooth_step
 from estbench.smoothers.ipls import ipls
 from estbench.smoothers.map import map_estimate
-from estbench.smoothers.rts import rts, smooth_step
+from estbench.smoothers.rts import rts
 from estbench.smoothers.urts import urts
 from estbench.spaces import rotation
 from tests.rotations import (
@@ -90,7 +91,8 @@ def test_one_step_is_exact_to_first_order_in_the_rotation():
     ahead = np.array([[0.05, -0.08, 0.03]])
     now = Gaussian(REST, prior[None], np.zeros(1, np.uint8))
     later = Gaussian(BALL.plus(REST, ahead), posterior[None], now.fault)
-    step = smooth_step(BALL, now, REST, (prior + noise)[None], prior[None], later)
+    joint = joint_factor(np.eye(3)[None], np.sqrt(prior)[None], np.sqrt(noise))  # x₊ = x ⊞ w
+    step = smooth_step(BALL, now, REST, joint, later, np.zeros((1, 3)))
     G = prior @ np.linalg.inv(prior + noise)
     inward = np.linalg.inv(rotation.right_jacobian(ahead[0]))
     delta = G @ ahead[0]

@@ -88,20 +88,6 @@ def test_the_input_is_left_alone():
     np.testing.assert_array_equal(a, before)
 
 
-@pytest.mark.parametrize("rank", [0, 1, 2, 4])
-def test_psd_factor_of_singular_matrices(rank):
-    g = np.random.default_rng(rank).standard_normal((4, rank))
-    factor = linalg.psd_factor(g @ g.T)
-    assert factor.shape == (4, 4)
-    np.testing.assert_allclose(factor @ factor.T, g @ g.T, atol=1e-12)
-
-
-def test_psd_factor_of_rounding_below_zero():
-    factor = linalg.psd_factor(np.diag([1.0, -1e-18]))
-    assert np.isfinite(factor).all()
-    np.testing.assert_allclose(factor @ factor.T, np.diag([1.0, 0.0]), atol=1e-15)
-
-
 def test_is_positive_definite():
     good = stack(1, 3)[0]
     assert linalg.is_positive_definite(good)

@@ -75,9 +75,13 @@ def coverage(entry: Entry) -> tuple[Coverage, ...] | None:
 
 def nees_steps(entry: Entry) -> Steps:
     """NEES/n averaged over the runs at each instant, with its chi-square band."""
-    record, n = entry.record, entry.source.n
+    record = entry.record
     runs = record["count"].sum(axis=0)
-    return _steps(entry, record["nees_sum"].sum(axis=0), np.full(len(runs), n), runs)
+    if "rank_sum" in record:
+        dof = record["rank_sum"].sum(axis=0) / np.maximum(runs, 1)
+    else:  # an older store: P has full rank
+        dof = np.full(len(runs), float(entry.source.n))
+    return _steps(entry, record["nees_sum"].sum(axis=0), dof, runs)
 
 
 def nis_steps(entry: Entry) -> Steps:

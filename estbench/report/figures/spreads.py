@@ -120,8 +120,11 @@ def nees_density(material: Material) -> Drawing:
     edges, n = drawn[0][2].nees_edges, len(material.names)
     centres = 0.5 * (edges[1:] + edges[:-1])
     curves = [(k, entry, traces.nees) for k, entry, traces in drawn]
-    title = f"NEES against the chi-square density with {n} degrees of freedom"
-    return _density("density-nees", title, "NEES", curves, edges, stats.chi2.pdf(centres, n), None)
+    ranks = drawn[0][2].ranks
+    degrees = f"{n} degrees of freedom" if ranks[n] == 1 else "the ranks of P as its degrees"
+    title = f"NEES against the chi-square density with {degrees}"
+    expected = sum(share * stats.chi2.pdf(centres, r) for r, share in enumerate(ranks) if r)
+    return _density("density-nees", title, "NEES", curves, edges, np.asarray(expected), None)
 
 
 def error_density(material: Material, i: int) -> Drawing:

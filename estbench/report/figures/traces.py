@@ -30,6 +30,7 @@ class TraceStatistics:
         errors: density of error/σ in the bins `ERROR_EDGES` `(n, bins)`.
         beyond: share of error/σ outside these bins `(n,)`.
         nees_edges, nees: bins of NEES and the density in them.
+        ranks: share of the values of NEES with 0, 1, ..., n degrees of freedom `(n + 1,)`.
         outside: share of single values of NEES and NIS outside the band of one run.
         correlation: autocorrelation of NIS by lag in instants `(LAGS + 1,)`; NaN without pairs.
         correlation_band: half-width of the band of each lag for independent innovations.
@@ -42,6 +43,7 @@ class TraceStatistics:
     beyond: Array
     nees_edges: Array
     nees: Array
+    ranks: Array
     outside: tuple[float, float]
     correlation: Array
     correlation_band: Array
@@ -54,8 +56,9 @@ class _Part:
     """The sums of one batch."""
 
     errors: Array
-    total: int
+    inexact: Array
     nees: Array
+    ranks: Array
     out: Array
     products: Array
     pairs: Array
@@ -73,11 +76,13 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         parts = list(
             pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), _pieces(entry))
         )
-    total = sum(p.total for p in parts)
-    errors, nees, out, products, pairs, fourth = (
+    errors, inexact, nees, ranks, out, products, pairs, fourth = (
         np.sum([getattr(p, name) for p in parts], axis=0)
-        for name in ("errors", "nees", "out", "products", "pairs", "fourth")
-    )
+        for name in (
+            "errors", "inexact", "nees", "ranks", "out", "products", "pairs", "fourth"
+        )
+    )  # fmt: skip
+    total, inexact = ranks.sum(), np.maximum(inexact, 1)
     left: dict[int, float] = {}
     for part in parts:
         left |= part.left
@@ -85,10 +90,11 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         mean = np.where(pairs > 0, products / pairs, np.nan)
         z = normal_quantile(source.level)
         return TraceStatistics(
-            errors=errors / (total * np.diff(ERROR_EDGES)),
-            beyond=1 - errors.sum(axis=1) / total,
+            errors=errors / (inexact[:, None] * np.diff(ERROR_EDGES)),
+            beyond=1 - errors.sum(axis=1) / inexact,
             nees_edges=edges,
             nees=nees / (total * np.diff(edges)),
+            ranks=ranks / total,
             outside=(float(out[0] / out[1]), float(out[2] / out[3]) if out[3] else np.nan),
             correlation=mean / mean[0],
             correlation_band=z / np.sqrt(pairs),
@@ -110,23 +116,26 @@ def _part(entry: Entry, where: slice, rows: slice, edges: Array) -> _Part:
     source, n = entry.source, entry.source.n
     group = entry.group.isel(run=where)
     good = entry.good[rows]
-    nees = _double(group, "nees")
-    left = _left(entry, nees[~good], source.runs[rows][~good])
-    nees = nees[good]
+    nees, rank = _double(group, "nees"), source.rank(group)
+    left = _left(entry, nees[~good] / np.maximum(rank[~good], 1), source.runs[rows][~good])
+    nees, rank = nees[good], rank[good]
     error, std = _double(group, "error")[good], _double(group, "std")[good]
     settled = source.settled
-    ratio = error[:, settled] / std[:, settled]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(std == 0, np.nan, error / std)[:, settled]
     errors = np.stack([_histogram(ratio[..., i], ERROR_EDGES) for i in range(n)])
     nis, dof = _double(group, "nis")[good], group["dof"].values[good]
     out = np.concatenate(
         [
-            _outside(nees[:, settled], np.full(1, n), source.level),
+            _outside(nees[:, settled], rank[:, settled], source.level),
             _outside(nis[:, settled], dof[:, settled], source.level),
         ]
     )
     products, pairs = _products(nis[:, settled], dof[:, settled])
     return _Part(
-        errors, ratio[..., 0].size, _histogram(nees[:, settled], edges),
+        errors, np.count_nonzero(std[:, settled] != 0, axis=(0, 1)),
+        _histogram(nees[:, settled], edges),
+        np.bincount(rank[:, settled].ravel(), minlength=n + 1).astype(np.float64),
         out, products, pairs, (error**4).sum(axis=0), left,
     )  # fmt: skip
 
@@ -177,14 +186,14 @@ def _lagged(values: Array) -> Array:
     return out
 
 
-def _left(entry: Entry, nees: Array, runs: NDArray[np.int64]) -> dict[int, float]:
-    """Start of the time above the threshold for which each run counts as diverged, s."""
+def _left(entry: Entry, ratio: Array, runs: NDArray[np.int64]) -> dict[int, float]:
+    """Start of the time of NEES/n above the threshold for which each run counts as diverged, s."""
     section, times = entry.source.scenario.consistency, entry.source.times
     window = max(1, min(round(section.divergence_duration / np.diff(times).mean()), len(times)))
     found = {}
-    for run, row in zip(runs, nees):
+    for run, row in zip(runs, ratio):
         with np.errstate(invalid="ignore"):
-            above = row / entry.source.n > section.divergence_threshold
+            above = row > section.divergence_threshold
         total = np.concatenate([[0], above.cumsum()])
         full = np.flatnonzero(total[window:] - total[:-window] == window)
         found[int(run)] = float(times[full[0]]) if len(full) else np.nan
@@ -217,12 +226,11 @@ def run_trace(entry: Entry, run: int, points: int) -> RunTrace | None:
         return None
     group = entry.group.isel(run=place)
     error, std, nees = (group[name].values for name in ("error", "std", "nees"))
+    ratio = nees / np.maximum(entry.source.rank(group), 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         worst = np.nanmax(np.where(np.isfinite(error / std), np.abs(error / std), -1.0), axis=1)
     keep = thin(worst, points)
-    return RunTrace(
-        entry.source.times[keep], error[keep].T, std[keep].T, nees[keep] / entry.source.n
-    )
+    return RunTrace(entry.source.times[keep], error[keep].T, std[keep].T, ratio[keep])
 
 
 def run_points(entries: Sequence[Entry], budget: int = 400_000) -> tuple[int, int]:

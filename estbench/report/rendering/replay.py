@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from estbench.analysis.load import array
 from estbench.consistency.nees import chi_square_band
@@ -108,8 +109,9 @@ def of_entry(entry: Entry, run: int) -> Replay:
         correlated = again is not None
         cov = again if again is not None else std[:, :, None] ** 2 * np.eye(source.n)
     return _replay(
-        prepared, entry.label, run, truth, estimate, cov, group["nees"].values, correlated
-    )
+        prepared, entry.label, run, truth, estimate, cov, group["nees"].values,
+        source.rank(group), correlated,
+    )  # fmt: skip
 
 
 def simulated(scenario: Scenario, run: int, label: str) -> Replay:
@@ -127,7 +129,7 @@ def simulated(scenario: Scenario, run: int, label: str) -> Replay:
     assert traces.cov is not None
     return _replay(
         prepared, label, run, traces.truth[:, 0], traces.mean[:, 0], traces.cov[:, 0],
-        traces.nees[:, 0], True,
+        traces.nees[:, 0], traces.rank[:, 0], True,
     )  # fmt: skip
 
 
@@ -145,10 +147,10 @@ def _again(scenario: Scenario, run: int, label: str, estimate: Array) -> Array |
 
 def _replay(
     prepared: setup.Setup, label: str, run: int, truth: Array, estimate: Array, cov: Array,
-    nees: Array, correlated: bool,
+    nees: Array, rank: NDArray[np.int64], correlated: bool,
 ) -> Replay:  # fmt: skip
-    n, level = prepared.space.n, prepared.scenario.consistency.level
-    low, high = chi_square_band(n, 1, level)
+    level, usual = prepared.scenario.consistency.level, max(1, int(np.median(rank)))
+    low, high = chi_square_band(usual, 1, level)
     return Replay(
         name=prepared.scenario.name,
         label=label,
@@ -158,8 +160,8 @@ def _replay(
         truth=truth,
         estimate=estimate,
         cov=cov,
-        nees=nees / n,
-        band=(low / n, high / n),
+        nees=nees / np.maximum(rank, 1),
+        band=(low / usual, high / usual),
         level=level,
         correlated=correlated,
     )
