@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estbench.envs.errors import EnvError
 from estbench.envs.features import LIMIT
-from estbench.robots.layout import actuator_names
+from estbench.robots.layout import control_names
 from estbench.shapes import Array
 
 
@@ -33,7 +33,7 @@ class Actions:
         scaled = limited & normalize
         self._centre = np.where(scaled, 0.5 * (low + high), 0.0)
         self._scale = np.where(scaled, 0.5 * (high - low), 1.0)
-        self._names = actuator_names(model)
+        self._names = control_names(model)
         self.space = spaces.Box(
             np.where(scaled, -1.0, low).astype(np.float32),
             np.where(scaled, 1.0, high).astype(np.float32),

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError
 from estbench.robots.controls import ControlRange
-from estbench.robots.layout import actuator_names
+from estbench.robots.layout import control_names
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.simulation.controllers import Plant
@@ -52,7 +52,7 @@ class Task:
         weights = {
             "state_weight": expand(section.state_weight, names, "task.state_weight"),
             "control_weight": expand(
-                section.control_weight, actuator_names(plant.model), "task.control_weight"
+                section.control_weight, control_names(plant.model), "task.control_weight"
             ),
         }
         for name, weight in weights.items():

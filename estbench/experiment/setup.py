@@ -17,7 +17,7 @@ from estbench.experiment import build as resolution
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
 from estbench.models.differences import Differences
-from estbench.robots import layout, mjcf, parameters
+from estbench.robots import flags, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.model import MujocoModel, SensorChannel, whole_steps
 from estbench.scenario import load as scenarios
@@ -261,6 +261,7 @@ def build(scenario: Scenario) -> Setup:
         whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
     disturbance = resolution.disturbance(scenario.process_noise, truth, space, duration, notices)
     resolution.note_defaults(scenario, truth, notices)
+    notices += flags.notes(spec)
     plant = controllers.Plant(truth, space, x0, u0, section.frame_skip)
     notices += controllers.clamped(scenario.control, plant)
     setup = Setup(

@@ -136,7 +136,7 @@ def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
         (name, unit, f"{s:.3g}", q) for name, unit, s, q in zip(space.names, space.units, std, text)
     ]
     if noise.kind == "actuator":
-        names = layout.actuator_names(prepared.plant.model)
+        names = layout.control_names(prepared.plant.model)
         rows += [(name, "ctrl", "", f"{q:.3g} (ctrl)² s") for name, q in zip(names, density) if q]
     return tuple(rows)
 

@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from estbench.errors import ScenarioError
 from estbench.robots import flags, library
 from estbench.shapes import Array, Float, Int, Mask
 from estbench.spaces.linalg import surely_finite
@@ -25,6 +26,9 @@ class BatchBackend:
     Args:
         model: with the flags of `flags.set_flags`.
         nthread: number of threads of a batch; the results do not depend on it.
+
+    Raises:
+        ScenarioError: the model has a feature that a batch does not support.
     """
 
     def __init__(self, model: mujoco.MjModel, nthread: int = 1):
@@ -36,7 +40,11 @@ class BatchBackend:
         self._models: dict[flags.Use, mujoco.MjModel] = {}
         self._varied = False
         self._settings = library.hold(self)
-        probe = Batch(model, 1, 1)
+        try:
+            probe = Batch(model, 1, 1)
+        except ValueError as error:  # a feature whose memory is not part of the state
+            reason = " ".join(str(error).split())
+            raise ScenarioError(f"MuJoCo cannot step this model in a batch: {reason}") from None
         address = probe.state.ctypes.data
 
         def columns(field: str, width: int) -> slice:

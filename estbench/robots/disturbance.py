@@ -20,7 +20,7 @@ import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
-from estbench.robots.layout import actuator_names
+from estbench.robots.layout import control_names
 from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_semidefinite, rescaled, row_product
 from estbench.spaces.manifold import Manifold
@@ -68,7 +68,7 @@ class Disturbance:
         names = {
             "additive": space.names,
             "force": space.names[model.nv : 2 * model.nv],
-            "actuator": actuator_names(model),
+            "actuator": control_names(model),
         }[kind]
         if matrix is None:
             values = expand(density, names, "process_noise.density")

@@ -18,12 +18,21 @@ def set_flags(model: mujoco.MjModel) -> None:
     - No clamping of controls inside MuJoCo: `controls.ControlRange.clamp` does it, before the
       actuator noise is added.
     - No energy flag: with it the energy sensors of a row read another row's energies.
+    - No sleep: whether a body sleeps is not part of the state.
     """
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= (
         flags.mjDSBL_WARMSTART | flags.mjDSBL_AUTORESET | flags.mjDSBL_CLAMPCTRL
     )
-    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    off = mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_SLEEP
+    model.opt.enableflags &= ~int(off)
+
+
+def notes(spec: mujoco.MjSpec) -> list[str]:
+    """One line for each flag of an MJCF that changes the robot when it is switched off here."""
+    if spec.option.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
+        return ["the MJCF enables sleep; it is off here, so bodies at rest are computed too"]
+    return []
 
 
 # They depend on constraints, or may do so, at a stage before the constraint forces are known.

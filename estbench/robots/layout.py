@@ -33,10 +33,19 @@ def object_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, prefix: 
     return mujoco.mj_id2name(model, kind, index) or f"{prefix}{index}"
 
 
-def actuator_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Name of each control."""
+def control_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Name of each control: the actuator's, with the input's where it has several, as in `o.qw`."""
+    names: list[str] = []
+    for i, actuator in enumerate(_actuators(model)):
+        for k in range(model.actuator_ctrlnum[i]):
+            part = mujoco.mj_actuatorInputName(model, i, k)
+            names.append(f"{actuator}.{part}" if part else actuator)
+    return tuple(names)
+
+
+def _actuators(model: mujoco.MjModel) -> list[str]:
     kind = mujoco.mjtObj.mjOBJ_ACTUATOR
-    return tuple(object_name(model, kind, i, "actuator") for i in range(model.nu))
+    return [object_name(model, kind, i, "actuator") for i in range(model.nactuator)]
 
 
 def state_space(model: mujoco.MjModel) -> Manifold:
@@ -63,7 +72,7 @@ def state_space(model: mujoco.MjModel) -> Manifold:
             names[dof + k], units[dof + k] = joint + position, unit
             names[model.nv + dof + k] = joint + velocity
             units[model.nv + dof + k] = f"{unit}/s"
-    for i, actuator in enumerate(actuator_names(model)):
+    for i, actuator in enumerate(_actuators(model)):
         for k in range(model.actuator_actnum[i]):
             index = 2 * model.nv + model.actuator_actadr[i] + k
             names[index] = f"{actuator}.act" + (str(k) if model.actuator_actnum[i] > 1 else "")

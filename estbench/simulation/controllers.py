@@ -19,7 +19,7 @@ from estbench.plugins import load_module
 from estbench.randomness import streams
 from estbench.robots import backend
 from estbench.robots.controls import ControlRange
-from estbench.robots.layout import actuator_names
+from estbench.robots.layout import control_names
 from estbench.scenario.schema import ControlSection
 from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
@@ -72,7 +72,7 @@ def build(
         ControllerError: it cannot be built (no stabilizing gain, an unreadable file, ...).
         DimensionError: a setting has the wrong count of values.
     """
-    names = actuator_names(plant.model)
+    names = control_names(plant.model)
     shape = (len(runs), plant.model.nu)
     centre = plant.u0 if section.offset == "keyframe" else np.zeros(plant.model.nu)
     if section.kind == "none":
@@ -132,7 +132,7 @@ def checked(controller: Controller, what: str, nu: int) -> Controller:
 
 def clamped(section: ControlSection, plant: Plant) -> list[str]:
     """A notice for each actuator whose control exceeds its ctrlrange."""
-    names, model = actuator_names(plant.model), plant.model
+    names, model = control_names(plant.model), plant.model
     centre = plant.u0 if section.offset == "keyframe" else np.zeros(model.nu)
     if section.kind == "constant" and section.value is not None:
         least = most = expand(section.value, names, "control.value")
@@ -181,7 +181,7 @@ def lqr_gain(plant: Plant, section: ControlSection) -> Float[Array, "nu n"]:
     """
     A, B = linearize(plant)
     Q = np.diag(expand(section.state_weight, plant.space.names, "control.state_weight"))
-    names = actuator_names(plant.model)
+    names = control_names(plant.model)
     R = np.diag(expand(section.control_weight, names, "control.control_weight", 1.0))
     try:
         X = scipy.linalg.solve_discrete_are(A, B, Q, R)

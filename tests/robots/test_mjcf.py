@@ -3,7 +3,9 @@ import numpy as np
 import pytest
 
 from estbench.errors import ScenarioError
-from estbench.robots import added_sensors, mjcf, parameters
+from estbench.experiment import setup
+from estbench.robots import added_sensors, layout, mjcf, parameters
+from estbench.scenario import load as scenarios
 from estbench.scenario.load import bundled
 from estbench.scenario.schema import AddSensor
 from tests.helpers import ZOO, zoo_model
@@ -259,3 +261,38 @@ def test_no_keyframe_at_all():
         ScenarioError, match=r"no keyframe 'home'; the MJCF has none: leave .* out$"
     ):
         mjcf.keyframe(zoo_model("contact"), "home")
+
+
+SLEEPY = """<mujoco><option timestep="0.005"><flag sleep="enable"/></option><worldbody>
+<geom type="plane" size="5 5 .1"/><body name="a" pos="0 0 .11"><freejoint name="a"/>
+<geom type="box" size=".1 .1 .1" mass="1"/></body></worldbody>
+<sensor><framepos name="p" objtype="body" objname="a" noise=".01"/></sensor></mujoco>"""
+
+
+def test_sleep_is_switched_off_with_a_notice(tmp_path):
+    (tmp_path / "robot.xml").write_text(SLEEPY)
+    prepared = setup.build(scenarios.load(str(tmp_path / "robot.xml")))
+    assert not prepared.plant.model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    assert any("sleep" in notice for notice in prepared.notices)
+
+
+def test_what_a_batch_does_not_support_is_refused_in_one_line(tmp_path):
+    (tmp_path / "robot.xml").write_text(
+        SLEEPY.replace("<option", '<option integrator="discrete" cone="elliptic"').replace(
+            'sleep="enable"', 'ipc="enable"'
+        )
+    )
+    with pytest.raises(ScenarioError, match="cannot step this model in a batch") as error:
+        setup.build(scenarios.load(str(tmp_path / "robot.xml"))).simulator(range(1))
+    assert "\n" not in str(error.value)
+
+
+def test_an_actuator_with_several_controls_has_a_name_for_each():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="b" type="ball"/><geom size=".1"/></body><body>'
+        '<joint name="h"/><geom size=".1" pos=".1 0 0"/></body></worldbody><actuator>'
+        '<orientation name="o" joint="b" kp="10" input="quat"/><motor name="m" joint="h"/>'
+        "</actuator></mujoco>"
+    )
+    assert layout.control_names(model) == ("o.qw", "o.qx", "o.qy", "o.qz", "m")
+    assert layout.state_space(model).n == 8
