@@ -12,6 +12,7 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import LIMIT
 from estbench.robots.layout import control_names
 from estbench.shapes import Array
+from estbench.spaces.linalg import surely_finite
 
 
 class Actions:
@@ -57,6 +58,19 @@ class Actions:
         return np.clip(values, self.space.low, self.space.high).astype(np.float32)
 
 
+def check_finite(values: Array, shape: tuple[int, ...]) -> None:
+    """Raise unless an action is of a shape and finite.
+
+    Raises:
+        EnvError: it is not.
+    """
+    if values.shape != shape:
+        raise EnvError(f"action has shape {values.shape}; expected {shape}")
+    if not surely_finite(values) and not np.isfinite(values).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        raise EnvError(f"action{list(where)} is {values[where]}; use a finite number")
+
+
 def check(
     values: Array, space: spaces.Box, shape: tuple[int, ...], names: Sequence[str] = ()
 ) -> None:
@@ -65,8 +79,7 @@ def check(
     Raises:
         EnvError: it is not.
     """
-    if values.shape != shape:
-        raise EnvError(f"action has shape {values.shape}; expected {shape}")
+    check_finite(values, shape)
     inside = (values >= space.low) & (values <= space.high)
     if np.count_nonzero(inside) == inside.size:  # a third of `all()`'s time
         return

@@ -29,6 +29,11 @@ _AT_SITES = (
 )  # fmt: skip
 
 
+_BAD_STATE = tuple(
+    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Adopted:
     """An environment's model with sensors.
@@ -118,6 +123,21 @@ def adopt(
 
 def _scale(channel: Channel) -> Scale | None:
     return None if channel.schedule is None else channel.schedule.at
+
+
+def check_not_reset(data: mujoco.MjData) -> None:
+    """Raise if MuJoCo has reset a state that was not finite or too large.
+
+    In the first step of an episode `data.time` does not show it.
+
+    Raises:
+        EnvError: it has.
+    """
+    if any(data.warning[kind].number for kind in _BAD_STATE):
+        raise EnvError(
+            "MuJoCo reset the state in this step, since it was not finite or too large; the "
+            "episode is void: call reset()"
+        )
 
 
 def _file(env: Any, xml: str | Path | None) -> str:

@@ -5,3 +5,10 @@ from estbench.errors import EstbenchError
 
 class EnvError(EstbenchError):
     """An environment cannot be wrapped, or was used outside its contract."""
+
+
+def not_running(closed: bool) -> EnvError:
+    """The error of a `step` that has no episode, or of any call after `close()`."""
+    if closed:
+        return EnvError("the environment is closed; make a new one")
+    return EnvError("step() after the end of an episode, or before the first; call reset()")

@@ -1,6 +1,6 @@
 """What a policy observes: the estimate, the belief, raw readings, or the truth."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,10 +17,9 @@ LIMIT = 1e10
 """MuJoCo's mjMAXVAL: a state beyond it is an error, so nothing observed is outside ± this."""
 
 
-def features(
-    observe: str, suite: SensorSuite, filter_: LiveFilter | None, nx: int
-) -> tuple[spaces.Box, Callable[[Array], Array]]:
-    """The observation space of one row, and the function of the true states that observes all.
+@dataclass(eq=False)
+class Features:
+    """What is observed of all rows.
 
     `state` is x̂ (qpos, qvel, act); `belief` appends the standard deviation of each tangent
     coordinate, `covariance` the upper triangle of P, row by row; `raw` is every channel's last
@@ -29,47 +28,55 @@ def features(
     Args:
         observe: one of these kinds.
         suite: the sensors.
-        filter_: the beliefs of the robots, or None.
+        filter: the beliefs of the robots, or None.
         nx: numbers of a state.
 
-    Returns:
-        The space, and `(row, nx)` -> new array `(row, k)` inside it.
+    Attributes:
+        space: the observation space of one row.
 
     Raises:
         EnvError: `observe` is unknown, or it needs a filter and there is none.
     """
-    if observe not in get_args(Observe):
-        raise EnvError(f"observe is '{observe}'{did_you_mean(observe, get_args(Observe))}")
-    if observe == "raw":
-        return _box(suite.space.nx), lambda x: _inside(suite.latest)
-    if observe == "truth":
-        last = np.zeros((len(suite.latest), nx))
 
-        def truth(x: Array) -> Array:
+    observe: str
+    suite: SensorSuite
+    filter: LiveFilter | None
+    nx: int
+
+    def __post_init__(self) -> None:
+        if self.observe not in get_args(Observe):
+            hint = did_you_mean(self.observe, get_args(Observe))
+            raise EnvError(f"observe is '{self.observe}'{hint}")
+        if self.observe in ("raw", "truth"):
+            self._last = np.zeros((len(self.suite.latest), self.nx))
+            self.space = _box(self.suite.space.nx if self.observe == "raw" else self.nx)
+            return
+        if self.filter is None:
+            raise EnvError(
+                f"observe='{self.observe}' needs a filter; name an estimator, e.g. 'ekf'"
+            )
+        n = self.filter.space.n
+        self._upper = np.triu_indices(n)
+        more = {"state": 0, "belief": n, "covariance": n * (n + 1) // 2}
+        self.space = _box(self.nx + more[self.observe])
+
+    def __call__(self, x: Array) -> Array:
+        """A new array `(row, k)` inside the space, from the true states `(row, nx)`."""
+        if self.observe == "raw":
+            return _inside(self.suite.latest)
+        if self.observe == "truth":
             finite = np.isfinite(x)
-            last[finite] = x[finite]
-            return _inside(last)
-
-        return _box(nx), truth
-    if filter_ is None:
-        raise EnvError(f"observe='{observe}' needs a filter; name an estimator, e.g. 'ekf'")
-    n = filter_.space.n
-    if observe == "state":
-        return _box(nx), lambda x: _inside(filter_.estimate)
-    if observe == "belief":
-
-        def belief(x: Array) -> Array:
-            variance = np.diagonal(filter_.cov, axis1=1, axis2=2)
-            std = np.sqrt(np.maximum(variance, 0.0))
-            return _inside(np.concatenate([filter_.estimate, std], axis=1))
-
-        return _box(nx + n), belief
-    upper = np.triu_indices(n)
-
-    def covariance(x: Array) -> Array:
-        return _inside(np.concatenate([filter_.estimate, filter_.cov[:, *upper]], axis=1))
-
-    return _box(nx + n * (n + 1) // 2), covariance
+            self._last[finite] = x[finite]
+            return _inside(self._last)
+        assert self.filter is not None
+        mean, cov = self.filter.estimate, self.filter.cov
+        if self.observe == "state":
+            return _inside(mean)
+        if self.observe == "belief":
+            more = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
+        else:
+            more = cov[:, *self._upper]
+        return _inside(np.concatenate([mean, more], axis=1))
 
 
 def _box(width: int) -> spaces.Box:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estbench.envs.actions import Actions
 from estbench.envs.episodes import Episodes
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import EnvError, not_running
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
 from estbench.scenario.schema import Scenario
@@ -64,7 +64,8 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         self.world = World(prepared, 1, estimator is not None, look=observe == "raw")
         self._actions = Actions(prepared.plant.model, normalize_actions)
         self.action_space = self._actions.space
-        self.observation_space, self._observe = self.world.features(observe)
+        self._observe = self.world.features(observe)
+        self.observation_space = self._observe.space
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / prepared.plant.period))}
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise EnvError(f"render_mode is '{render_mode}'; use 'rgb_array', 'human' or None")
@@ -72,7 +73,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         self._renderer = GhostRenderer(prepared.plant.model, width, height, camera)
         self._ghost = ghost and estimator is not None
         self._episodes = Episodes(1)
-        self._running = False
+        self._running = self._closed = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -82,6 +83,8 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         Returns:
             The observation `(k,)` and the info of `estbench.inference.live.LiveFilter.info`.
         """
+        if self._closed:
+            raise not_running(True)
         super().reset(seed=seed)
         self._episodes.seed(0, seed)
         self.world.reset(ROW, *self._episodes.next(ROW))
@@ -94,10 +97,11 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         """One control period under an action `(nu,)`.
 
         Raises:
-            EnvError: the action is outside the space, or the episode is over.
+            EnvError: the action is outside the space, the episode is over, or the environment is
+                closed.
         """
         if not self._running:
-            raise EnvError("step() after the end of an episode, or before the first; call reset()")
+            raise not_running(self._closed)
         u = self._actions.controls(np.asarray(action))[None]
         reward, ended, late = self.world.step(u)
         self._running = not (ended[0] or late[0])
@@ -114,7 +118,8 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         return self._renderer.render(self.render_mode, self.world.x[0], belief)
 
     def close(self) -> None:
-        """Release the renderer and the backends."""
+        """Release the renderer and the backends; nothing can follow."""
+        self._running, self._closed = False, True
         self._renderer.close()
         self.world.close()
 

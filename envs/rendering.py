@@ -1,6 +1,7 @@
 """Pictures of a robot with its estimate beside it, drawn as the reports draw them."""
 
 import time
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,6 +52,13 @@ class GhostRenderer:
             return None
         self._renderer = self._renderer or render.Renderer(self._model, *self._look)
         return self._renderer.draw(x, *(belief or (None, None)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy opens its own context and window."""
+        return {"model": self._model, "look": self._look}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["model"], *state["look"])
 
     def close(self) -> None:
         """Free the OpenGL context and close the window."""

@@ -27,12 +27,13 @@ class Twin:
 
     Args:
         env: an environment whose unwrapped has `_get_obs` and `do_simulation`.
+        data: of the twin, if it is a copy of another.
 
     Raises:
         EnvError: it has not, or wrappers have changed its observation.
     """
 
-    def __init__(self, env: gym.Env):
+    def __init__(self, env: gym.Env, data: mujoco.MjData | None = None):
         base: Any = env.unwrapped
         for name in ("_get_obs", "do_simulation"):
             if not callable(getattr(base, name, None)):
@@ -52,12 +53,17 @@ class Twin:
         self._env = object.__new__(type(base))
         vars(self._env).update(vars(base))
         self._env.mujoco_renderer = None
-        self._env.data = mujoco.MjData(base.model)
+        self._env.data = data or mujoco.MjData(base.model)
         self._env._np_random = np.random.default_rng(0)  # should _get_obs draw noise of its own
         self._quaternions = [
             slice(q, q + 4) for q in layout.state_space(base.model).quaternions[:, 0]
         ]
         self._shared = [k for k in vars(base) if k not in _OWN]
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data of the twin, which remember the last step."""
+        return self._env.data
 
     def reset(self, x: Array, truth: Array, t: float = 0.0) -> Any:
         """The observation of a new episode.

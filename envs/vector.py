@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estbench.envs.actions import Actions
 from estbench.envs.episodes import Episodes
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import EnvError, not_running
 from estbench.envs.native import ScenarioEnv
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
@@ -75,7 +75,8 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
             self.world.limit(max_episode_steps)
         self._actions = Actions(prepared.plant.model, normalize_actions)
         self.single_action_space = self._actions.space
-        self.single_observation_space, self._observe = self.world.features(observe)
+        self._observe = self.world.features(observe)
+        self.single_observation_space = self._observe.space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._mode = AutoresetMode(autoreset_mode)
@@ -107,6 +108,8 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         Returns:
             Observations `(num_envs, k)`, and infos that are valid for the rows that were reset.
         """
+        if self.closed:
+            raise not_running(True)
         seeds = row_seeds(seed, self.num_envs)
         if isinstance(seed, int):
             super().reset(seed=seed)
@@ -126,8 +129,8 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
             EnvError: an action is outside the space, nothing was reset, or, without autoreset, an
                 episode is over.
         """
-        if not self._started:
-            raise EnvError("step() before the first reset(); call reset()")
+        if not self._started or self.closed:
+            raise not_running(self.closed)
         u = self._actions.controls(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             raise EnvError(

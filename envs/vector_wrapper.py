@@ -10,9 +10,11 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
-from estbench.envs.actions import check
+from estbench.envs.actions import check_finite
+from estbench.envs.adopt import check_not_reset
+from estbench.envs.copies import carried, restore
 from estbench.envs.episodes import Episodes
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import EnvError, not_running
 from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.truth_info import KEYS
 from estbench.envs.twin import Twin
@@ -79,13 +81,15 @@ class VectorEstimatedObservation(VectorWrapper):
             self._twins = [Twin(member) for member in every]
             self.single_observation_space = self._twins[0].space
         else:
-            self.single_observation_space, self._observe = self._watch.features(observe)
+            self._observe = self._watch.features(observe)
+            self.single_observation_space = self._observe.space
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self._mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
         self._episodes = Episodes(env.num_envs)
         self._ended = np.zeros(env.num_envs, bool)
         self._shown = np.zeros((env.num_envs, *(self.single_observation_space.shape or ())))
-        self._time = np.zeros(env.num_envs)
+        self._time, self._fresh = np.zeros(env.num_envs), np.zeros(env.num_envs, bool)
+        self._closed = False
 
     def reset(
         self,
@@ -94,6 +98,8 @@ class VectorEstimatedObservation(VectorWrapper):
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
         """Start episodes and filters, in all rows or those of `options["reset_mask"]`."""
+        if self._closed:
+            raise not_running(True)
         mask, seeds = reset_mask(options, self.num_envs), row_seeds(seed, self.num_envs)
         _, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
         for row in np.flatnonzero(mask).tolist():
@@ -106,12 +112,15 @@ class VectorEstimatedObservation(VectorWrapper):
         """Step all environments, predict and update all filters.
 
         Raises:
-            EnvError: an action is outside the space, or what the rows need cannot be known.
+            EnvError: an action is not finite or of another shape, or what the rows need cannot be
+                known.
         """
+        if self._closed:
+            raise not_running(True)
         space = self.single_action_space
         if isinstance(space, gym.spaces.Box):
             shape = (self.num_envs, *space.shape)
-            check(np.asarray(actions, np.float64), space, shape)
+            check_finite(np.asarray(actions, np.float64), shape)  # MuJoCo clamps
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             raise EnvError(
                 f"step() after the end of the episode of row {int(self._ended.argmax())}; call "
@@ -137,8 +146,34 @@ class VectorEstimatedObservation(VectorWrapper):
         info = {**info, **self._info(states, every)}
         return self._shown.copy(), reward, terminated, truncated, info
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The wrapper, and what copies of the environments lack.
+
+        Raises:
+            EnvError: the environments live in other processes.
+        """
+        inner = self.env.unwrapped
+        if not isinstance(inner, SyncVectorEnv):
+            raise EnvError(
+                f"{type(inner).__name__} runs in other processes and cannot be copied; use "
+                "gymnasium.make_vec(..., vectorization_mode='sync')"
+            )
+        state = {k: v for k, v in vars(self).items() if k not in ("_datas", "_twins")}
+        twins = [twin.data for twin in self._twins]
+        return {"state": state, "carried": [carried(e) for e in inner.envs], "twins": twins}
+
+    def __setstate__(self, copied: dict[str, Any]) -> None:
+        vars(self).update(copied["state"])
+        members = self.env.unwrapped.envs  # pyright: ignore[reportAttributeAccessIssue]
+        for member, attributes in zip(members, copied["carried"]):
+            restore(member, attributes)
+        self._datas = [member.unwrapped.data for member in members]
+        self._watch.data = self._datas[0]
+        self._twins = [Twin(e, data) for e, data in zip(members, copied["twins"])]
+
     def close(self, **kwargs: Any) -> None:
-        """Close the environments."""
+        """Close the environments; nothing can follow."""
+        self._closed = True
         self._watch.close()
         self.env.close(**kwargs)
 
@@ -147,6 +182,7 @@ class VectorEstimatedObservation(VectorWrapper):
         rows = np.flatnonzero(mask)
         self._watch.reset(rows, *self._episodes.next(rows), x, u)
         self._time[mask], self._ended = t[mask], self._ended & ~mask
+        self._fresh |= mask
         filter_ = self._watch.filter
         if self._twins and filter_ is not None:
             for row in np.flatnonzero(mask):
@@ -159,6 +195,10 @@ class VectorEstimatedObservation(VectorWrapper):
         if not mask.any():
             return
         x, u, t = states
+        for here in np.flatnonzero(mask & (self._fresh | (t <= self._time))).tolist():
+            if self._datas:  # those of other processes are not to be had
+                check_not_reset(self._datas[here])
+        self._fresh &= ~mask
         row = int(mask.argmax())
         nstep = self._watch.steps(float(t[row] - self._time[row]))
         filter_ = self._watch.filter

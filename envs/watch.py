@@ -1,15 +1,14 @@
 """Sensors and filters for environments of other libraries: the common part of both wrappers."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 
 from estbench.envs.adopt import adopt, mujoco_parts
 from estbench.envs.errors import EnvError
-from estbench.envs.features import features
+from estbench.envs.features import Features
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
 from estbench.estimators.protocol import depends_on_time
@@ -147,6 +146,10 @@ class Watch:
             if self.filter is not None:
                 self.filter.settle()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the data of the environment: those of a copy are set by its wrapper."""
+        return {name: value for name, value in vars(self).items() if name != "data"}
+
     def close(self) -> None:
         """Release the backends of the sensors and of the filter."""
         self._backend.close()
@@ -157,9 +160,9 @@ class Watch:
         """`info` of every row: see `LiveFilter.info`; without a filter, the truth."""
         return {"truth": x.copy()} if self.filter is None else self.filter.info(x)
 
-    def features(self, observe: str) -> tuple[spaces.Box, Callable[[Array], Array]]:
-        """The observation of a kind; see `estbench.envs.features.features`."""
-        return features(observe, self.suite, self.filter, self.space.nx)
+    def features(self, observe: str) -> Features:
+        """The observation of a kind."""
+        return Features(observe, self.suite, self.filter, self.space.nx)
 
     def _try(self, tried: LiveFilter, rows: int) -> None:
         """Predict once from the model's reference pose: can the estimator use this model?"""

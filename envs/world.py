@@ -1,15 +1,14 @@
 """Robots of a scenario, a task and a filter, step by step: the core of the native environments."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 
 from estbench.envs.errors import EnvError
-from estbench.envs.features import features
+from estbench.envs.features import Features
 from estbench.envs.task import Task
 from estbench.experiment import setup
 from estbench.inference.live import LiveFilter
@@ -115,9 +114,9 @@ class World:
         """x̂ `(nx,)` and P `(n, n)` of one row, or None without a filter."""
         return None if self.filter is None else (self.filter.estimate[row], self.filter.cov[row])
 
-    def features(self, observe: str) -> tuple[spaces.Box, Callable[[Array], Array]]:
-        """The observation of a kind; see `estbench.envs.features.features`."""
-        return features(observe, self.simulator.suite, self.filter, self.setup.space.nx)
+    def features(self, observe: str) -> Features:
+        """The observation of a kind."""
+        return Features(observe, self.simulator.suite, self.filter, self.setup.space.nx)
 
     @property
     def elapsed(self) -> Ints:

@@ -9,9 +9,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from estbench.envs.actions import check
+from estbench.envs.actions import check_finite
+from estbench.envs.adopt import check_not_reset
+from estbench.envs.copies import carried, restore
 from estbench.envs.episodes import Episodes
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import not_running
 from estbench.envs.native import first
 from estbench.envs.twin import Twin
 from estbench.envs.watch import Watch
@@ -81,8 +83,9 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         self._episodes = Episodes(1)
         self._twin = Twin(env) if observe == "env" else None
         if self._twin is None:
-            self.observation_space, self._observe = self._watch.features(observe)
-        self._running = False
+            self._observe = self._watch.features(observe)
+            self.observation_space = self._observe.space
+        self._running = self._closed = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -93,11 +96,13 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             The observation, and the environment's info with that of the filter
             (`estbench.inference.live.LiveFilter.info`).
         """
+        if self._closed:
+            raise not_running(True)
         _, info = self.env.reset(seed=seed, options=options)
         self._episodes.seed(0, seed)
         x, u = self._state(), np.array(self._data.ctrl)[None]
         self._watch.reset(ROW, *self._episodes.next(ROW), x, u)
-        self._running, self._time = True, self._data.time
+        self._running, self._fresh, self._time = True, True, self._data.time
         filter_ = self._watch.filter
         if self._twin is not None and filter_ is not None:
             observation = self._twin.reset(filter_.estimate[0], x[0], self._time)
@@ -109,15 +114,19 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         """Step the environment, predict and update.
 
         Raises:
-            EnvError: the action is outside the space, or the episode is over.
+            EnvError: the action is not finite or of another shape, the episode is over, or the
+                environment is closed.
         """
         if not self._running:
-            raise EnvError("step() after the end of an episode, or before the first; call reset()")
+            raise not_running(self._closed)
         space = self.action_space  # asked once: every wrapper in between passes it on
         if isinstance(space, gym.spaces.Box):
-            check(np.asarray(action, np.float64), space, space.shape)
+            check_finite(np.asarray(action, np.float64), space.shape)  # MuJoCo clamps
         _, reward, terminated, truncated, info = self.env.step(action)
         self._running = not (terminated or truncated)
+        if self._fresh or self._data.time <= self._time:
+            check_not_reset(self._data)
+            self._fresh = False
         x, u = self._state(), np.array(self._data.ctrl)[None]
         nstep = self._watch.steps(self._data.time - self._time)
         self._time = self._data.time
@@ -134,9 +143,23 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         )  # fmt: skip
 
     def close(self) -> None:
-        """Close the environment."""
+        """Close the environment; nothing can follow."""
+        self._running, self._closed = False, True
         self._watch.close()
         super().close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The wrapper, and what a copy of the environment lacks."""
+        state = {k: v for k, v in vars(self).items() if k not in ("_data", "_twin")}
+        twin = None if self._twin is None else self._twin.data
+        return {"state": state, "carried": carried(self.env), "twin": twin}
+
+    def __setstate__(self, copied: dict[str, Any]) -> None:
+        vars(self).update(copied["state"])
+        restore(self.env, copied["carried"])
+        base: Any = self.env.unwrapped
+        self._data = self._watch.data = base.data
+        self._twin = None if copied["twin"] is None else Twin(self.env, copied["twin"])
 
     def _state(self) -> Array:
         """The true state `(1, nx)`, a copy."""

@@ -5,7 +5,7 @@ large, an engine error) is NaN in the result; MuJoCo itself would reset it witho
 """
 
 import math
-from typing import get_args
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
@@ -38,7 +38,8 @@ class BatchBackend:
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
         self._batches: dict[tuple[int, flags.Use], Batch] = {}
         self._models: dict[flags.Use, mujoco.MjModel] = {}
-        self._varied = False
+        # Of each call of `vary`, the last: what a copy is given again.
+        self._varied: dict[tuple[int, str, str], tuple[int | slice, Array]] = {}
         self._settings = library.hold(self)
         try:
             probe = Batch(model, 1, 1)
@@ -70,6 +71,15 @@ class BatchBackend:
             self._batches[count, use] = batch
         return self._batches[count, use]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy is made of: it has batches of its own, which remember nothing."""
+        return {"model": self.model, "nthread": self.nthread, "varied": self._varied}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["model"], state["nthread"])
+        for (count, field, _), (index, values) in state["varied"].items():
+            self.vary(count, field, index, values)
+
     def close(self) -> None:
         """Restore the settings of the MuJoCo library, unless another backend is open."""
         self._settings()
@@ -80,7 +90,7 @@ class BatchBackend:
         """See `Backend.vary`."""
         if not self._varied:  # the parameter may enable a constraint
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
-            self._varied = True
+        self._varied[count, field, repr(index)] = index, np.array(values)
         for use in self._models:
             batch = self.batch(count, use)
             batch.expand(field)[:, index] = values

@@ -316,5 +316,5 @@ def _noise(channels: Sequence[Channel]) -> Callable[[Array], Array] | None:
     """What makes noise `(..., m)` of standard normals; None where a schedule has to say it."""
     if len(channels) > 1:
         std = np.concatenate([np.diag(channel.factor) for channel in channels])
-        return lambda white: std * white
+        return partial(np.multiply, std)
     return None if channels[0].schedule else partial(channels[0].noise_from, t=0.0)

@@ -142,7 +142,7 @@ def test_the_end_of_an_episode():
             np.array([1.5]),
             r"action\[0\] \(force\) is 1.5; expected a value in \[-1, 1\].*ClipAction",
         ),
-        (np.array([np.nan]), r"is nan; expected a value"),
+        (np.array([np.nan]), r"is nan; use a finite number"),
         (np.zeros(2), r"action has shape \(2,\); expected \(1,\)"),
     ],
 )

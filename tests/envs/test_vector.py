@@ -209,7 +209,7 @@ def test_bad_arguments(kwargs, message):
 
 def test_bad_calls():
     env = gym.make_vec("estbench/CartPole-v0", 2)
-    with pytest.raises(EnvError, match=r"before the first reset"):
+    with pytest.raises(EnvError, match=r"before the first; call reset"):
         env.step(np.zeros((2, 1)))
     with pytest.raises(EnvError, match=r"reset all rows first"):
         env.reset(options={"reset_mask": np.array([True, False])})

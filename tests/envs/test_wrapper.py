@@ -387,10 +387,8 @@ def test_a_step_after_the_end_and_actions_outside():
     with pytest.raises(EnvError, match=r"step\(\) after the end of an episode"):
         env.step(np.zeros(1, np.float32))
     env.reset()
-    with pytest.raises(
-        EnvError, match=r"action\[0\] is 9; expected a value in \[-3, 3\].*ClipAction"
-    ):
-        env.step(np.full(1, 9, np.float32))
+    with pytest.raises(EnvError, match=r"action\[0\] is nan; use a finite number"):
+        env.step(np.full(1, np.nan, np.float32))
     with pytest.raises(EnvError, match=r"action has shape \(2,\); expected \(1,\)"):
         env.step(np.zeros(2, np.float32))
     env.step(np.full(1, 3, np.float32))
@@ -424,3 +422,14 @@ def test_wrapped_environments_in_other_processes():
         env.step(env.action_space.sample())
     finally:
         env.close()
+
+
+@pytest.mark.parametrize("steps_before", [0, 3])
+def test_a_reset_by_mujoco_is_seen_in_the_first_step_as_in_any_other(steps_before):
+    env = wrapped(estimator="ekf")
+    env.reset(seed=0)
+    for _ in range(steps_before):
+        env.step(np.zeros(1, np.float32))
+    env.unwrapped.data.qvel[:] = 1e12
+    with pytest.raises(EnvError, match="MuJoCo reset the state"):
+        env.step(np.zeros(1, np.float32))
