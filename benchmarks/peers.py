@@ -33,7 +33,8 @@ TACHOS = [
 
 def prepare(estimator: str, runs: int, steps: int) -> setup.Setup:
     """The benchmark's scenario for one estimator."""
-    resolved = scenario.load("cartpole", [*TACHOS, f"simulation.duration={steps * 0.01}"])
+    overrides = [*TACHOS, f"simulation.duration={steps * 0.01}", "control.observe=truth"]
+    resolved = scenario.load("cartpole", overrides)
     resolved = experiment.resolve(resolved, [estimator], runs=runs)
     return setup.build(resolved)
 

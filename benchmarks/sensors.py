@@ -18,12 +18,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from estbench.estimators.ekf import EKF
-from estbench.experiment import setup
+from estbench.experiment import recording, setup
 from estbench.inference.event_loop import run_filter
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.batch import traced
 from estbench.robots.library import engine
-from estbench.simulation.sources import Live, Recorded, Trajectory, record
+from estbench.simulation.sources import Recorded
 
 EVERYTHING = (
     "bias=0.01", "bias_walk=0.001", "drift=0.01", "scale_factor=0.001", "quantization=0.001",
@@ -58,12 +58,6 @@ CASES = {
 """Name -> overrides of both, and those of the imperfect sensors."""
 
 
-def simulated(prepared: setup.Setup, runs: Sequence[int]) -> Trajectory:
-    """The truth of some runs, and what was read."""
-    controller, period = prepared.controller(runs), prepared.plant.period
-    return record(Live(prepared.simulator(runs), prepared.instants, controller, period))
-
-
 def seconds(overrides: Sequence[str], estimators: Sequence[str], count: int) -> float:
     """Processor time of truth, sensors and estimators on all runs."""
     prepared = setup.build(experiment.resolve("cartpole", estimators, overrides=overrides))
@@ -75,7 +69,7 @@ def seconds(overrides: Sequence[str], estimators: Sequence[str], count: int) -> 
                 for _ in traced(prepared, runs):
                     pass
             else:
-                simulated(prepared, runs)
+                recording.trajectory(prepared, runs)
     return time.process_time() - began
 
 
@@ -115,7 +109,7 @@ def delays() -> None:
         runs = range(100)
         prior = np.tile(prepared.mean, (100, 1)), np.tile(prepared.cov, (100, 1, 1))
         with engine():
-            trajectory = simulated(prepared, runs)
+            trajectory = recording.trajectory(prepared, runs)
             Counting.predicts = 0
             began = time.process_time()
             run_filter(

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from estbench.estimators import registry
+from estbench.experiment.recording import trajectory
 from estbench.experiment.setup import Setup
 from estbench.models.differences import Differences
 from estbench.models.function import FunctionModel
@@ -23,7 +24,6 @@ from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery, Sampler
 from estbench.sensors.timing import Timing
 from estbench.shapes import Array, Ints
-from estbench.simulation import sources
 from estbench.simulation.sources import Trajectory
 from estbench.simulation.truth import Simulator
 from estbench.spaces.manifold import Manifold
@@ -317,15 +317,7 @@ class ChannelModel:
 
 def simulated(prepared: Setup, runs: int) -> Trajectory:
     """The truth of the first runs of a scenario."""
-    return sources.record(driven(prepared, range(runs)))
-
-
-def driven(prepared: Setup, runs: Sequence[int]) -> sources.Live:
-    """Some runs of a scenario under its controller."""
-    return sources.Live(
-        prepared.simulator(runs), prepared.instants, prepared.controller(runs),
-        prepared.plant.period,
-    )  # fmt: skip
+    return trajectory(prepared, range(runs))
 
 
 def sampled(timing: Timing, seed: int, runs: Sequence[int], name: str, last: int) -> Ints:

@@ -12,6 +12,7 @@ from estbench.errors import EstbenchError, ScenarioError
 from estbench.experiment import setup
 from estbench.models import observability
 from estbench.robots import mjcf
+from estbench.scenario.reference import seen
 from estbench.scenario.schema import FilterSection, Scenario, TruthSection
 from estbench.sensors.description import ChannelDescription
 
@@ -94,9 +95,8 @@ def render(resolved: Scenario) -> Group:
             described.rate_text,
             STAGES[max((model.sensor_needstage[i] for i in channel.measurand.sensors), default=0)],
         )
-    control = resolved.control
     lines = [
-        f"control: {control.kind}, seeing the {control.observe}",
+        f"control: {resolved.control.kind}, seeing {seen(resolved)}",
         f"process noise: {prepared.disturbance.kind}",
         f"estimators: {', '.join(resolved.estimators)}",
     ]

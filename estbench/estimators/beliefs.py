@@ -22,6 +22,7 @@ class Fault(IntEnum):
     COVARIANCE = 2
     INNOVATION = 3
     TRUTH = 4
+    REFERENCE = 5
 
     @property
     def text(self) -> str:
@@ -32,6 +33,7 @@ class Fault(IntEnum):
             "the state covariance P is not positive semidefinite",
             "the innovation covariance S is not positive definite",
             "the simulation of the truth failed",
+            "the reference estimator, whose estimate the controller sees, failed",
         )[self]
 
 

@@ -21,7 +21,14 @@ from estbench.robots import flags, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.model import MujocoModel, SensorChannel, whole_steps
 from estbench.scenario import load as scenarios
-from estbench.scenario.schema import BelievedChannelSection, Scenario, StartSection
+from estbench.scenario import reference
+from estbench.scenario.schema import (
+    BelievedChannelSection,
+    ControlSection,
+    FilterSection,
+    Scenario,
+    StartSection,
+)
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
@@ -31,6 +38,11 @@ from estbench.simulation import controllers
 from estbench.simulation.truth import Simulator
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.semidefinite import psd_root
+
+LEAK = (
+    "the controller sees the true state: its controls tell the estimators where the robot is, and "
+    'errors towards its set point are rewarded; control.observe="reference" compares fairly'
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +59,8 @@ class Setup:
         disturbance: the true process noise; the filter's is `filter_disturbance`.
         mean, cov: x̂₀ and P₀.
         notices: assumptions where the scenario says nothing.
+        reference: the experiment of the estimator whose estimate the controller sees, with the
+            label `estbench.scenario.reference.LABEL`; None where it sees something else.
     """
 
     scenario: Scenario
@@ -60,6 +74,7 @@ class Setup:
     mean: Float[Array, " nx"]
     cov: Float[Array, "n n"]
     notices: tuple[str, ...]
+    reference: "Setup | None" = None
 
     @property
     def space(self) -> Manifold:
@@ -123,6 +138,19 @@ class Setup:
             or any(c.measurand.depends_on_time(self.plant.model) for c in self.channels)
             or not estimator.__module__.startswith("estbench.")
             or depends_on_time(self.estimator(label))
+        )
+
+    def is_reference(self, label: str) -> bool:
+        """Whether the estimator of that label gives the estimates of the reference, to the bit.
+
+        It does if it has its settings, start and model, and draws no random numbers.
+        """
+        scenario, table = self.scenario, self.scenario.control.estimator
+        return (
+            isinstance(table, dict)
+            and {"type": label, **scenario.estimators[label]} == table
+            and reference.is_ekf(table)
+            and (scenario.filter, scenario.start) == (FilterSection(), StartSection())
         )
 
     def settings(self, label: str) -> dict[str, Any]:
@@ -224,6 +252,7 @@ def build(scenario: Scenario) -> Setup:
         ScenarioError, DimensionError, CovarianceError, EstimatorError, ControllerError: a part of
             the scenario is wrong; raised before the simulation.
     """
+    scenario = reference.settled(scenario)
     section, belief = scenario.model, scenario.filter
     spec, truth, believed = resolution.robots(scenario)
     space = layout.state_space(truth)
@@ -264,6 +293,8 @@ def build(scenario: Scenario) -> Setup:
     notices += flags.notes(spec)
     plant = controllers.Plant(truth, space, x0, u0, section.frame_skip)
     notices += controllers.clamped(scenario.control, plant)
+    if scenario.control.kind in controllers.CLOSED_LOOP and scenario.control.observe == "truth":
+        notices.append(LEAK)
     setup = Setup(
         scenario=scenario,
         plant=plant,
@@ -276,6 +307,7 @@ def build(scenario: Scenario) -> Setup:
         mean=mean,
         cov=cov,
         notices=tuple(notices),
+        reference=_reference(scenario),
     )
     for label in scenario.estimators:
         if label in RESERVED or not re.fullmatch(r"(?!__)\w[\w.+-]*", label):
@@ -290,6 +322,30 @@ def build(scenario: Scenario) -> Setup:
     for key, draw in scenario.truth.draw.items():
         parameters.check_draw(truth, key, draw.relative_std, draw.std)
     setup.controller([0])
+    return setup
+
+
+def _reference(scenario: Scenario) -> Setup | None:
+    """The experiment of the reference estimator: the true model, the prior of the truth.
+
+    Raises:
+        EstimatorError: it looks back.
+        EstbenchError: it cannot be built.
+    """
+    control = scenario.control
+    if control.observe != "reference" or control.kind not in controllers.CLOSED_LOOP:
+        return None
+    parts = {
+        "filter": FilterSection(),
+        "start": StartSection(),
+        "estimators": {reference.LABEL: control.estimator},
+        "control": ControlSection(),
+    }
+    setup = build(scenario.model_copy(update=parts))
+    if hasattr(setup.estimator(reference.LABEL), "smooth"):
+        raise EstimatorError(
+            f"control.estimator is {control.estimator}, a smoother, which looks back; name a filter"
+        )
     return setup
 
 

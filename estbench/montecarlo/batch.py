@@ -6,13 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.consistency import records
-from estbench.errors import EstbenchError, EstimatorError, user_error_location
 from estbench.experiment import setup
-from estbench.inference.event_loop import run_filter
+from estbench.experiment.recording import blamed, driven, followed, recorded
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
-from estbench.randomness import streams
-from estbench.simulation.sources import Live, Recorded, Trajectory, record
+from estbench.simulation.sources import Recorded
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""
@@ -89,29 +87,25 @@ def traced(
     keep_innovations: bool = False,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[tuple[str, Traces | None]]:
-    """The traces of each estimator on some runs, one after the other; None ends it: stopped."""
+    """The traces of each estimator on some runs, one after the other; None ends it: stopped.
 
-    def driven() -> Live:
-        controller = prepared.controller(runs)
-        return Live(prepared.simulator(runs), prepared.instants, controller, prepared.plant.period)
-
-    live = prepared.scenario.control.observe == "estimate"
-    trajectory: Trajectory | None = None if live else record(driven())
+    An estimator that is the scenario's reference has followed the runs already.
+    """
+    keep = keep_cov, keep_innovations, stop
+    own_truth = prepared.scenario.control.observe == "estimate"
+    found = None if own_truth else recorded(prepared, runs, *keep)
+    if found is None and not own_truth:
+        yield next(iter(prepared.scenario.estimators)), None
+        return
     for label in prepared.scenario.estimators:
-        source = driven() if trajectory is None else Recorded(prepared.instants, trajectory)
-        mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
-        keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
-        estimator = prepared.estimator(label)
-        try:
-            traces = run_filter(
-                estimator, prepared.space, (mean, cov), source, prepared.channel_spaces,
-                delays=prepared.delays(label), keys=keys, keep_cov=keep_cov,
-                keep_innovations=keep_innovations, stop=stop,
-            )  # fmt: skip
-        except (EstbenchError, MemoryError):
-            raise
-        except Exception as error:  # a user's estimator may raise anything
-            raise EstimatorError(f"{label} raised {user_error_location(error)}") from error
+        if found is None:
+            traces = followed(prepared, label, runs, driven(prepared, runs), *keep)
+        elif found[1] is not None and prepared.is_reference(label):
+            traces = found[1]
+        else:
+            source = Recorded(prepared.instants, found[0])
+            traces = followed(prepared, label, runs, source, *keep)
+            traces = traces and blamed(traces, found[0])
         yield label, traces
         if traces is None:
             return

@@ -15,6 +15,7 @@ from estbench.report.figures.data import Steps
 from estbench.report.figures.traces import TraceStatistics
 from estbench.report.sources import Entry
 from estbench.robots import layout, mjcf
+from estbench.scenario.reference import seen
 from estbench.sensors.description import HEADINGS, ChannelDescription, describe
 from estbench.store.versions import known
 from estbench.tables.quantity import quantity
@@ -92,7 +93,7 @@ def facts(source: Stored) -> Facts:
         ("runs", count),
         ("duration", f"{source.times[-1]:g} s in {len(source.times) - 1} instants"),
         ("seed", f"{attrs.get('seed', simulation.seed)}"),
-        ("control", f"{scenario.control.kind}, seeing the {scenario.control.observe}"),
+        ("control", f"{scenario.control.kind}, seeing {seen(scenario)}"),
         ("estimators", ", ".join(attrs["estimators"])),
         ("robot", scenario.model.path),
         *(

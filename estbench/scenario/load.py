@@ -1,5 +1,6 @@
 """Reading a scenario: a bundled name, a TOML file, a results folder or an MJCF file."""
 
+import copy
 import tomllib
 from collections.abc import Sequence
 from importlib import resources
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 
 from estbench.errors import EstimatorError, ScenarioError, did_you_mean
 from estbench.estimators import registry
+from estbench.scenario import reference
 from estbench.scenario.mistakes import explain
 from estbench.scenario.schema import Scenario, SimulationSection, StartSection
 
@@ -59,7 +61,7 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
         ScenarioError: the result does not validate.
     """
     if not overrides:
-        return scenario
+        return reference.settled(scenario)
     return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
 
 
@@ -184,14 +186,23 @@ def changes(before: Any, now: Any, key: str = "") -> list[tuple[str, Any, Any]]:
 
 
 def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Scenario:
-    """Apply the overrides, whose paths are relative to the current folder, and validate."""
+    """Apply the overrides, whose paths are relative to the current folder, and validate.
+
+    The reference estimator of the controller is chosen among the estimators before the overrides.
+    """
+    default = Scenario.model_fields["estimators"].get_default(call_default_factory=True)
+    given = copy.deepcopy(data.get("estimators", default))
+    before = (
+        {k: v for k, v in given.items() if isinstance(v, dict)} if isinstance(given, dict) else {}
+    )
     for text in overrides:
         _apply(data, text)
     _resolve_paths(data, Path.cwd())
     try:
-        return Scenario.model_validate(data)
+        scenario = Scenario.model_validate(data)
     except ValidationError as error:
         raise ScenarioError(f"{source}: " + "; ".join(explain(error, Scenario))) from None
+    return reference.settled(scenario, {**before, **scenario.estimators, **before})
 
 
 def _find(source: str | Path) -> Path:

@@ -231,7 +231,16 @@ class ControlSection(Section):
     """The controller of the robot; see `estbench.simulation.controllers`."""
 
     kind: Literal["none", "constant", "sine", "random", "lqr", "csv", "user"] = "none"
-    observe: Literal["truth", "estimate"] = "truth"
+    observe: Literal["truth", "estimate", "reference"] = Field(
+        "truth",
+        description="what the controller sees: the true state, the estimate of each estimator "
+        "under test, or that of `estimator`, which gives all of them the same truth",
+    )
+    estimator: str | dict[str, Any] | None = Field(
+        None,
+        description="reference: a label of the scenario, a name, or a table of settings with "
+        "`type`; default the scenario's first exact EKF (see `estbench.scenario.reference`)",
+    )
     value: PerName | None = Field(None, description="constant: control")
     amplitude: PerName = Field(0.0, description="sine: peak of each term")
     frequencies: list[Positive] = Field(default_factory=lambda: [0.5], description="sine: Hz")

@@ -22,6 +22,7 @@ from estbench.robots.controls import ControlRange
 from estbench.robots.layout import control_names
 from estbench.scenario.schema import ControlSection
 from estbench.shapes import Array, Float
+from estbench.spaces.linalg import row_product
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 
@@ -37,6 +38,9 @@ KINDS = {
     "csv": "columns t, then one per actuator, from `path`; held between rows",
     "user": "`function` = module:function(t, x) -> u, with x (run, nx) and u (run, nu)",
 }
+
+CLOSED_LOOP = ("lqr", "user")
+"""The kinds whose control may depend on the state that they see."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +97,7 @@ def build(
         return lambda k, t, x: centre + std * smooth[k]
     if section.kind == "lqr":
         gain = lqr_gain(plant, section)
-        return lambda k, t, x: plant.u0 - plant.space.minus(x, plant.x0) @ gain.T
+        return lambda k, t, x: plant.u0 - row_product(plant.space.minus(x, plant.x0), gain)
     if section.kind == "csv":
         times, table = _read_csv(section.path, names)
         return lambda k, t, x: np.broadcast_to(

@@ -11,7 +11,7 @@ import numpy as np
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Instant
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.simulation.controllers import Controller
 from estbench.simulation.truth import Simulator
 
@@ -21,14 +21,17 @@ class Trajectory:
     """What happened in some runs.
 
     Attributes:
-        x: true states, the first at t = 0; NaN from where MuJoCo failed.
+        x: true states, the first at t = 0; NaN from where MuJoCo failed, or from the first control
+            that a failed reference estimator would have had to give.
         u: controls, held up to the instant.
         deliveries: what arrived at each instant.
+        lost: runs whose reference estimator failed; None without one.
     """
 
     x: Float[Array, "time run nx"]
     u: Float[Array, "time-1 run nu"]
     deliveries: list[list[Delivery]]
+    lost: Bool[Mask, " run"] | None = None
 
 
 class Recorded:
@@ -88,19 +91,39 @@ class Live:
         return self._simulator.x, arrived
 
 
+class Noting:
+    """A live source that notes what happens, while an estimator or nobody follows it."""
+
+    def __init__(self, live: Live):
+        self.events, self.x0 = live.events, live.x0
+        self._live = live
+        self._x, self._u, self._deliveries = [live.x0], [], []
+
+    def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
+        """The controller's answer to the states that it sees."""
+        return self._live.control(k, estimate)
+
+    def advance(
+        self, k: int, u: Float[Array, "run nu"]
+    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
+        """Step the robots, and note it."""
+        x, arrived = self._live.advance(k, u)
+        self._x.append(x)
+        self._u.append(u)
+        self._deliveries.append(arrived)
+        return x, arrived
+
+    def trajectory(self) -> Trajectory:
+        """What happened."""
+        return Trajectory(np.stack(self._x), np.stack(self._u), self._deliveries)
+
+
 def record(source: Live) -> Trajectory:
     """Run robots through their schedule under a controller that sees the true state."""
-    x, count = source.x0, len(source.events)
-    states = np.empty((count + 1, *x.shape))
-    states[0] = x
-    controls, deliveries = [], []
-    for k in range(count):
-        u = source.control(k, x)
-        x, arrived = source.advance(k, u)
-        states[k + 1] = x
-        controls.append(u)
-        deliveries.append(arrived)
-    return Trajectory(states, np.stack(controls), deliveries)
+    noting, x = Noting(source), source.x0
+    for k in range(len(source.events)):
+        x, _ = noting.advance(k, noting.control(k, x))
+    return noting.trajectory()
 
 
 def finite(x: Float[Array, "run nx"], fallback: Float[Array, "run nx"]) -> Float[Array, "run nx"]:

@@ -12,11 +12,10 @@ import pytest
 import estbench.envs
 from estbench.envs.world import World
 from estbench.experiment import setup
-from estbench.inference.event_loop import run_filter
+from estbench.experiment.recording import followed, trajectory
 from estbench.montecarlo import run as montecarlo
-from estbench.randomness import streams
 from estbench.robots.controls import ControlRange
-from estbench.simulation.sources import Live, Recorded, Trajectory, record
+from estbench.simulation.sources import Recorded
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = sorted(
@@ -70,22 +69,15 @@ def resolved(case, duration=None):
 
 def simulated(prepared, runs):
     """The truth of some runs, what was read in them, and the traces of each estimator."""
-    live = Live(
-        prepared.simulator(runs), prepared.instants, prepared.controller(runs),
-        prepared.plant.period,
-    )  # fmt: skip
-    trajectory: Trajectory = record(live)
+    truth = trajectory(prepared, runs)
     for label in prepared.scenario.estimators:
-        mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
-        keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
-        estimator = prepared.estimator(label)
-        if hasattr(estimator, "smooth"):
+        if hasattr(prepared.estimator(label), "smooth"):
             continue
-        traces = run_filter(
-            estimator, prepared.space, (mean, cov), Recorded(prepared.instants, trajectory),
-            prepared.channel_spaces, delays=prepared.delays(label), keys=keys, keep_cov=True,
-        )  # fmt: skip
-        yield label, trajectory, traces
+        source = Recorded(prepared.instants, truth)
+        traces = followed(prepared, label, runs, source, keep_cov=True)
+        assert traces is not None
+        assert traces.cov is not None
+        yield label, truth, traces
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -96,7 +88,7 @@ def test_the_rows_of_a_world_are_the_runs_of_a_batch(case, rows, monkeypatch):
     prepared = setup.build(scenario)
     ends = [k + 1 for k, i in enumerate(prepared.instants) if i.tick % prepared.plant.nstep == 0]
     starts = [0, *ends[:-1]]
-    for label, trajectory, traces in simulated(prepared, range(rows)):
+    for label, truth, traces in simulated(prepared, range(rows)):
         table = {"estimators": {label: scenario.estimators[label]}}
         world = World(setup.build(scenario.model_copy(update=table)), rows)
         world.reset(np.arange(rows), scenario.simulation.seed, range(rows))
@@ -109,14 +101,14 @@ def test_the_rows_of_a_world_are_the_runs_of_a_batch(case, rows, monkeypatch):
             return out
 
         world.simulator.advance = listen
-        np.testing.assert_array_equal(world.x, trajectory.x[0])
+        np.testing.assert_array_equal(world.x, truth.x[0])
         for first, last in zip(starts, ends):
-            world.step(trajectory.u[first])
-            np.testing.assert_array_equal(world.x, trajectory.x[last])
+            world.step(truth.u[first])
+            np.testing.assert_array_equal(world.x, truth.x[last])
             assert world.filter is not None
             np.testing.assert_array_equal(world.filter.estimate, traces.mean[last])
             np.testing.assert_array_equal(world.filter.cov, traces.cov[last])
-        arrived = trajectory.deliveries
+        arrived = truth.deliveries
         assert len(heard) == len(arrived)
         for ours, theirs in zip(heard, arrived):
             assert [d.channels for d in ours] == [d.channels for d in theirs]
@@ -149,19 +141,19 @@ def test_an_environment_is_the_run_of_its_seed(case, monkeypatch):
         )
         runs += simulated(setup.build(scenario), [0])
     _, info = vector.reset(seed=seeds[0])
-    for row, (env, (_, trajectory, _)) in enumerate(zip(scalars, runs)):
+    for row, (env, (_, truth, _)) in enumerate(zip(scalars, runs)):
         _, own = env.reset(seed=seeds[row])
-        np.testing.assert_array_equal(own["truth"], trajectory.x[0, 0])
-        np.testing.assert_array_equal(info["truth"][row], trajectory.x[0, 0])
+        np.testing.assert_array_equal(own["truth"], truth.x[0, 0])
+        np.testing.assert_array_equal(info["truth"][row], truth.x[0, 0])
     limits = ControlRange.of(prepared.plant.model)
     ends = [k + 1 for k, i in enumerate(prepared.instants) if i.tick % prepared.plant.nstep == 0]
     for first, last in zip([0, *ends[:-1]], ends[:12]):
-        u = limits.clamp(np.array([trajectory.u[first, 0] for _, trajectory, _ in runs]))
+        u = limits.clamp(np.array([truth.u[first, 0] for _, truth, _ in runs]))
         *_, over, _, info = vector.step(u)
-        for row, (env, (_, trajectory, traces)) in enumerate(zip(scalars, runs)):
+        for row, (env, (_, truth, traces)) in enumerate(zip(scalars, runs)):
             *_, own = env.step(u[row])
             for found in (own, {key: value[row] for key, value in info.items()}):
-                np.testing.assert_array_equal(found["truth"], trajectory.x[last, 0])
+                np.testing.assert_array_equal(found["truth"], truth.x[last, 0])
                 np.testing.assert_array_equal(found["estimate"], traces.mean[last, 0])
                 np.testing.assert_array_equal(found["error"], traces.error[last, 0])
         if over.any():

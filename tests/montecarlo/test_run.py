@@ -41,6 +41,7 @@ def assert_same(a, b, rtol=0.0, fields=COMPARED):
     [
         ("cartpole", []),
         ("cartpole", ["control.observe=estimate"]),
+        ("cartpole", ["control.observe=truth"]),
         ("acrobot", ["truth.draw={'body_mass.lower'={relative_std=0.1}}", "model.frame_skip=2"]),
     ],
 )
@@ -53,7 +54,7 @@ def test_a_seed_gives_the_same_bits_at_any_thread_count(scenario, overrides):
     assert (other.records["ekf"]["anees"] != one.records["ekf"]["anees"]).all()
 
 
-@pytest.mark.parametrize("overrides", [[], ["control.observe=estimate", "control.kind=lqr"]])
+@pytest.mark.parametrize("overrides", [[], ["control.observe=truth"], ["control.observe=estimate"]])
 def test_batches_do_not_change_the_runs(overrides):
     per_run = [f for f in COMPARED if records.SUMMARY[f].dims[0] == "run"]
     whole = run(estimators=["ekf", "ukf"], batch_size=24, overrides=overrides)

@@ -69,10 +69,12 @@ def twice(requests):
     return [request for request, count in requests.items() if count > 1]
 
 
-@pytest.mark.parametrize("observe", ["truth", "estimate"])
+@pytest.mark.parametrize("observe", ["truth", "estimate", "reference"])
 @pytest.mark.parametrize("estimator", sorted(ESTIMATORS))
 def test_a_run_asks_for_each_stream_once(asked, estimator, observe):
     overrides = [*EVERYTHING, f"control.observe={observe}"]
+    if observe == "reference":
+        overrides += ["control.kind=lqr"]  # with controls that see nothing it would not run
     overrides += [f"estimators.{estimator}={ESTIMATORS[estimator]}"]
     scenario = experiment.resolve("cartpole_imu", [estimator], overrides=overrides, duration=1.0)
     prepared = setup.build(scenario)
@@ -81,8 +83,8 @@ def test_a_run_asks_for_each_stream_once(asked, estimator, observe):
         assert batches.run_batch(prepared, [run], "summary") is not None
     assert twice(asked) == []
     drawn = [request for request in asked if request[0] == "stream"]
-    # Per run: start, process, control, two parameters, the estimator's key, the encoder's noise;
-    # of each IMU channel noise, jitter, latency, 4 constants and 6 sequences.
+    # Per run: start, process, control or the reference's key, two parameters, the estimator's key,
+    # the encoder's noise; of each IMU channel noise, jitter, latency, 4 constants and 6 sequences.
     assert len(drawn) == 3 * (7 + 2 * 13)
     assert len(asked) > len(drawn) + 3 * 100  # the estimator's own numbers, two for each step
 

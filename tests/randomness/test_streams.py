@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from estbench.experiment import setup
+from estbench.experiment import recording, setup
 from estbench.montecarlo import run as experiment
 from estbench.randomness import seeding, streams
 from estbench.sensors.sampling import divided
-from estbench.simulation.sources import record
-from tests.helpers import driven
 
 PURPOSES = ("initial", "process", "control", "sensor:gyro", "sensor:gyr0")
 
@@ -82,7 +80,7 @@ def recorded(overrides, runs=range(3)):
     """The truth of some runs, and each channel's readings `(instant, run, ny)`."""
     overrides = [*overrides, "control={kind='sine', amplitude=0.4}"]  # feedback would round
     prepared = setup.build(experiment.resolve("cartpole", duration=0.2, overrides=overrides))
-    trajectory = record(driven(prepared, runs))
+    trajectory = recording.trajectory(prepared, runs)
     named = [{d.channels[0]: d.y for d in divided(arrived)} for arrived in trajectory.deliveries]
     return {name: np.array([each[name] for each in named]) for name in named[0]}, trajectory
 

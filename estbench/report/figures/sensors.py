@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
+from estbench.experiment.recording import trajectory
 from estbench.experiment.setup import Setup
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import ChannelDescription
 from estbench.sensors.sampling import divided
 from estbench.shapes import Array
-from estbench.simulation import sources
 from estbench.tables.destination import check_file
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -48,7 +48,9 @@ class Record:
 
 
 def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
-    """The readings of one run in its first seconds; the controller uses the true state.
+    """The readings of one run in its first seconds.
+
+    A controller that sees the estimate under test sees the true state here.
 
     Args:
         setup: the scenario as objects.
@@ -62,18 +64,17 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
     shown = int(np.searchsorted(ends, seconds + 1e-9))
     if not shown:
         raise EstbenchError(f"--seconds is {seconds:g}; use at least {ends[0]:g}, one step")
-    simulator, timestep = setup.simulator([run]), float(setup.plant.model.opt.timestep)
-    controller, period = setup.controller([run]), setup.plant.period
-    trajectory = sources.record(sources.Live(simulator, setup.instants, controller, period))
+    timestep = float(setup.plant.model.opt.timestep)
+    simulator, seen = setup.simulator([run]), trajectory(setup, [run])
     records = []
     for channel in setup.channels:
         clean = np.concatenate([
-            simulator.suite.clean([channel], ends[k], trajectory.x[k + 1], trajectory.u[k])
+            simulator.suite.clean([channel], ends[k], seen.x[k + 1], seen.u[k])
             for k in range(shown)
         ])  # fmt: skip
         arrivals = [
             (int(np.ravel(d.due)[0]), d.taken, k, d.y[0])
-            for k, arrived in enumerate(trajectory.deliveries)
+            for k, arrived in enumerate(seen.deliveries)
             for d in divided(arrived)
             if d.channels == (channel.name,) and (d.mask is None or d.mask[0])
         ]

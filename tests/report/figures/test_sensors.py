@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from estbench.errors import EstbenchError, StoreError
-from estbench.experiment import setup
+from estbench.experiment import recording, setup
 from estbench.report.figures import sensors as sensor_picture
 from estbench.scenario.load import resolve
 from estbench.sensors.sampling import divided
-from estbench.simulation.sources import record
-from tests.helpers import driven
 
 pytest.importorskip("matplotlib")
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -23,7 +21,7 @@ def delayed():
 def test_a_record_is_what_the_run_saw(delayed):
     records = {r.channel.name: r for r in sensor_picture.record(delayed, 0.5, 3)}
     assert list(records) == ["accel", "gyro", "position", "height", "compass"]
-    trajectory = record(driven(delayed, [3]))
+    trajectory = recording.trajectory(delayed, [3])
     position = records["position"]
     np.testing.assert_allclose(position.taken, [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_allclose(position.arrived, position.taken + 0.08)

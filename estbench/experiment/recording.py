@@ -1,0 +1,97 @@
+"""The truth of some runs, and an estimator that follows it: who the controller sees decides how."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estbench.errors import EstbenchError, EstimatorError, user_error_location
+from estbench.estimators.beliefs import Fault
+from estbench.experiment.setup import Setup
+from estbench.inference.event_loop import Source, run_filter
+from estbench.inference.traces import Traces
+from estbench.randomness import streams
+from estbench.scenario.reference import LABEL
+from estbench.simulation.sources import Live, Noting, Trajectory, record
+
+Stop = Callable[[], bool]
+
+
+def driven(prepared: Setup, runs: Sequence[int]) -> Live:
+    """The robots of some runs at their start, under the scenario's controller."""
+    controller, period = prepared.controller(runs), prepared.plant.period
+    return Live(prepared.simulator(runs), prepared.instants, controller, period)
+
+
+def recorded(
+    prepared: Setup,
+    runs: Sequence[int],
+    keep_cov: bool = False,
+    keep_innovations: bool = False,
+    stop: Stop = lambda: False,
+) -> tuple[Trajectory, Traces | None] | None:
+    """The truth of some runs that is the same for all estimators, and the reference's traces.
+
+    The controller sees the estimate of the scenario's reference estimator, if it has one, else the
+    true state. A run whose reference fails has no truth from the next instant on: no estimator can
+    be judged there, since its controls would tell the true state at the start.
+
+    Returns:
+        The trajectory, and the traces of the reference or None without one; None when stopped.
+    """
+    if prepared.reference is None:
+        return record(driven(prepared, runs)), None
+    noting = Noting(driven(prepared, runs))
+    traces = followed(prepared.reference, LABEL, runs, noting, keep_cov, keep_innovations, stop)
+    if traces is None:
+        return None
+    truth = noting.trajectory()
+    lost = (traces.fault != Fault.NONE) & (traces.fault != Fault.TRUTH)
+    for run in np.flatnonzero(lost):
+        truth.x[traces.fault_step[run] + 1 :, run] = np.nan
+    return replace(truth, lost=lost), replace(traces, truth=truth.x)
+
+
+def trajectory(prepared: Setup, runs: Sequence[int]) -> Trajectory:
+    """The truth, controls and readings of some runs, the same for all estimators; `recorded`."""
+    found = recorded(prepared, runs)
+    assert found is not None  # nobody stopped it
+    return found[0]
+
+
+def followed(
+    prepared: Setup,
+    label: str,
+    runs: Sequence[int],
+    source: Source,
+    keep_cov: bool = False,
+    keep_innovations: bool = False,
+    stop: Stop = lambda: False,
+) -> Traces | None:
+    """The traces of the estimator of a label on a source of some runs; None when stopped.
+
+    Raises:
+        EstimatorError: the estimator raised.
+    """
+    mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
+    keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
+    estimator = prepared.estimator(label)
+    try:
+        return run_filter(
+            estimator, prepared.space, (mean, cov), source, prepared.channel_spaces,
+            delays=prepared.delays(label), keys=keys, keep_cov=keep_cov,
+            keep_innovations=keep_innovations, stop=stop,
+        )  # fmt: skip
+    except (EstbenchError, MemoryError):
+        raise
+    except Exception as error:  # a user's estimator may raise anything
+        raise EstimatorError(f"{label} raised {user_error_location(error)}") from error
+
+
+def blamed(traces: Traces, trajectory: Trajectory) -> Traces:
+    """The traces, in which a run without a truth for want of a reference says so."""
+    if trajectory.lost is None or not trajectory.lost.any():
+        return traces
+    without = trajectory.lost & (traces.fault == Fault.TRUTH)
+    fault = np.where(without, Fault.REFERENCE, traces.fault).astype(traces.fault.dtype)
+    return replace(traces, fault=fault)
