@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Innovation
 from estbench.models.protocol import Channels
 from estbench.robots.measurement import needed_stage
@@ -65,6 +66,8 @@ class RawReadings:
         )
         predicted, H = model.measurement_jacobian(belief.mean, u, t, channels)
         residual = model.output(channels).minus(y, predicted)
+        mask = returned(residual, mask)
+        residual = np.where(np.isneginf(residual), 0.0, residual)
         R = model.measurement_noise(t, channels)
         used = useful if mask is None else useful & mask
         weight = used / np.sqrt(np.diagonal(R, axis1=-2, axis2=-1))

@@ -11,6 +11,7 @@ from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import linear_update
+from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import correct, mark_failed
@@ -144,6 +145,7 @@ class AdaptiveEKF(EKF):
         prior = cast(AdaptiveBelief, belief)
         predicted, H = self.model.measurement_jacobian(prior.mean, u, t, channels)
         residual, shape = output.minus(y, predicted), (len(y), output.n, output.n)
+        mask = returned(residual, mask)
         R = np.broadcast_to(self.model.measurement_noise(t, channels), shape)
         everything = self.model.output().names
         columns = [everything.index(name) for name in output.names]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.estimators.beliefs import Fault, check_prior, random_start
+from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import Correction, correct
@@ -95,6 +96,7 @@ class EnKF:
         space, output = self.model.space, self.model.output(channels)
         R = np.asarray(self.model.measurement_noise(t, channels))
         images = self.model.measurement(belief.points, u, t, channels)
+        images, mask = extended(space, output, belief.points, images, mask)
         predicted = self._centre(output, images)
         spread = output.minus(images, predicted[:, None])
         mean = self.mean(belief)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.enkf import Ensemble, diffuse, draw
 from estbench.estimators.likelihood import log_normalization
+from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, whole
 from estbench.estimators.update import correct
@@ -94,6 +95,7 @@ class ParticleFilter:
         m = output.n
         R = np.broadcast_to(self.model.measurement_noise(t, channels), (len(y), m, m))
         images = self.model.measurement(belief.points, u, t, channels)
+        images, mask = extended(self.model.space, output, belief.points, images, mask)
         present = np.ones((len(y), m), bool) if mask is None else mask
         blind = _unfinite(images)
         images = np.where(blind[..., None], _best(belief, images, blind)[:, None], images)

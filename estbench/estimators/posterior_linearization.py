@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.estimators.linear import joseph
+from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.sigma_points import SigmaPoints
 from estbench.estimators.update import correct
@@ -86,13 +87,15 @@ def condition(
     innovation = None
     for iteration in range(measured.iterations):
         points = eta[:, None] + rule.points @ factor.mT
-        images = model.measurement(space.plus(mean[:, None], points @ root.mT), u, t, channels)
+        states = space.plus(mean[:, None], points @ root.mT)
+        images = model.measurement(states, u, t, channels)
+        images, mask = extended(space, output, states, images, measured.mask)
         predicted, residuals, spread = rule.moments(output, images)
         slope, unexplained = rule.regress(residuals, spread)
         noise = symmetrize((1.0 + measured.omega) * unexplained + R)
         H = solve_lower_transposed(factor, slope.mT).mT if iteration else slope
         residual = output.minus(y, predicted) + (H @ eta[..., None])[..., 0]
-        c = correct(residual, symmetrize(H @ H.mT + noise), H.mT, measured.mask)
+        c = correct(residual, symmetrize(H @ H.mT + noise), H.mT, mask)
         innovation = innovation or c.innovation
         moved = np.abs(c.delta - eta).max(axis=-1, initial=0.0)
         new = symmetrize(joseph(np.broadcast_to(identity(space.n), root.shape), c.gain, H, noise))

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import linear_update, without_absent
+from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import correct, mark_failed
@@ -70,7 +71,7 @@ class RobustEKF(EKF):
         space, output = self.model.space, self.model.output(channels)
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
         residual = output.minus(y, predicted)
-        m = output.n
+        m, mask = output.n, returned(residual, mask)
         R = np.broadcast_to(self.model.measurement_noise(t, channels), (len(y), m, m))
         residual, H, R = without_absent(residual, H, R, mask)
         PHt = belief.cov @ H.mT

@@ -15,6 +15,7 @@ from estbench.estimators.factors import (
     noise_root,
     triangular,
 )
+from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Innovation
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
@@ -61,6 +62,7 @@ class SquareRootEKF(FactorEstimator):
         predicted, H = self.model.measurement_jacobian(belief.mean, u, t, channels)
         R = self.model.measurement_noise(t, channels)
         residual = self.model.output(channels).minus(y, predicted)
+        mask = returned(residual, mask)
         seen = H @ belief.factor
         if mask is not None:
             residual = np.where(mask, residual, 0.0)

@@ -15,6 +15,7 @@ from estbench.estimators.factors import (
     noise_root,
     weighted_factor,
 )
+from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
@@ -79,6 +80,7 @@ class SquareRootUKF(FactorEstimator):
         space, output = self.model.space, self.model.output(channels)
         points = self.rule.draw(space, belief.mean, belief.factor)
         images = self.model.measurement(points, u, t, channels)
+        images, mask = extended(space, output, points, images, mask)
         predicted, residuals = self.rule.residuals(output, images)
         residual = output.minus(y, predicted)
         if mask is not None:

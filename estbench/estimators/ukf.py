@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
+from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
@@ -95,6 +96,7 @@ class SigmaPointFilter(GaussianEstimator):
         else:
             spread = space.line.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
+        images, mask = extended(space, output, points, images, mask)
         predicted, residuals, S = rule.moments(output, images)
         R = self.model.measurement_noise(t, channels)
         if self.omega and redrawn:

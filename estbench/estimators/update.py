@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian
+from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Innovation
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
@@ -53,7 +54,8 @@ def correct(
 
     With S = L Lᵀ and W = L⁻¹ Pxyᵀ: K ν = Wᵀ (L⁻¹ ν), NIS = |L⁻¹ ν|².
     A component that did not arrive has no effect: its cross-covariance and residual are set to
-    zero, its row and column of S to those of the identity.
+    zero, its row and column of S to those of the identity. So is one of which no return is
+    predicted (an infinite residual).
 
     Args:
         residual: ν.
@@ -78,6 +80,9 @@ def correct(
     nis = np.vecdot(white, white)
     fault = np.zeros(len(S), np.uint8)
     if not surely_finite(nis):
+        present = returned(residual, mask)
+        if present is not mask:
+            return correct(residual, S, cross, present)
         factored = np.isfinite(lower[:, 0, 0])
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
     innovation = Innovation(residual, S, white, nis, dof, lower)

@@ -12,12 +12,16 @@ import numpy as np
 
 from estbench.sensors.sampling import Delivery, divided
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.manifold import Manifold
+from estbench.spaces.linalg import surely_finite
+from estbench.spaces.manifold import Manifold, product
 
 
 @dataclass(frozen=True, eq=False)
 class JointMeasurement:
-    """One joint measurement: channels in their order; without a mask everything has arrived."""
+    """One joint measurement: channels in their order; without a mask everything has arrived.
+
+    A component without a return is masked, and 0 in y.
+    """
 
     channels: tuple[str, ...]
     y: Float[Array, "run ny"]
@@ -115,11 +119,13 @@ class Inbox:
 
     def _alone(self, delivery: Delivery) -> JointMeasurement:
         """A delivery as a joint measurement."""
-        mask = delivery.mask
-        if mask is None or mask.all():
-            return JointMeasurement(delivery.channels, delivery.y, None)
-        m = sum(self.spaces[name].n for name in delivery.channels)
-        return JointMeasurement(delivery.channels, delivery.y, mask[:, None].repeat(m, axis=1))
+        mask, y, channels = delivery.mask, delivery.y, delivery.channels
+        finite = surely_finite(y)
+        if finite and (mask is None or mask.all()):
+            return JointMeasurement(channels, y, None)
+        m = sum(self.spaces[name].n for name in channels)
+        whole = np.ones((len(y), m), bool) if mask is None else mask[:, None].repeat(m, axis=1)
+        return JointMeasurement(channels, y, whole) if finite else self._some(channels, y, whole)
 
     def _join(self, layer: Layer) -> JointMeasurement:
         named = tuple(layer.y)
@@ -128,7 +134,8 @@ class Inbox:
         channels = self._orders[named]
         parts = [*map(layer.y.__getitem__, channels)]
         y = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
-        if not layer.came or all(came.all() for came in layer.came.values()):
+        finite = surely_finite(y)
+        if finite and (not layer.came or all(came.all() for came in layer.came.values())):
             return JointMeasurement(channels, y, None)
         columns = [
             np.broadcast_to(
@@ -137,4 +144,12 @@ class Inbox:
             )
             for name in channels
         ]
-        return JointMeasurement(channels, y, np.concatenate(columns, axis=1))
+        mask = np.concatenate(columns, axis=1)
+        return JointMeasurement(channels, y, mask) if finite else self._some(channels, y, mask)
+
+    def _some(self, channels: tuple[str, ...], y: Array, mask: Mask) -> JointMeasurement:
+        """A joint measurement of which components without a return, +inf, are masked."""
+        gone = product([self.spaces[name] for name in channels]).infinite(y)
+        if not gone.any():  # NaN of a run whose truth has failed
+            return JointMeasurement(channels, y, None if mask.all() else mask)
+        return JointMeasurement(channels, np.where(np.isinf(y), 0.0, y), mask & ~gone)

@@ -146,6 +146,11 @@ class Innovations:
         if np.size(innovation.white):  # an estimator may have none, and no ν and S either
             m = np.shape(innovation.white)[-1]
             came = None if mask is None else np.broadcast_to(mask, (len(mask), m))
+            if np.min(innovation.dof) < m:
+                dof = np.broadcast_to(np.ravel(innovation.dof), len(innovation.white))
+                if dof.sum() < (m * len(dof) if came is None else came.sum()):
+                    # Not fused, as no return is predicted: such a component is exactly zero.
+                    came = mask = (innovation.white != 0) & (True if came is None else came)
             self._lags.put(k, layer, channels, innovation.white, came, rows)
         if self._kept and np.size(getattr(innovation, "residual", ())):
             self._keep(k, channels, innovation, mask, rows)

@@ -9,6 +9,7 @@ import numpy as np
 
 from estbench.errors import ScenarioError
 from estbench.shapes import Array, Float
+from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import Manifold
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -59,6 +60,9 @@ class Differences:
     ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
         """Value and Jacobian of a function at x.
 
+        A component that is infinite at x or at one of its perturbations (a sensor without a return)
+        is infinite in the value, and its row of the Jacobian is zero.
+
         Args:
             function: takes points `(run, point, nx)`, returns values `(run, point, ny)`.
             source: space of x.
@@ -70,16 +74,19 @@ class Differences:
         n = source.n
         reach = n if reach is None else reach
         values = function(source.plus(x[:, None], _directions(n, self.step, self.scheme, reach)))
-        slope = self.slope(target, values)
+        value, slope = values[:, 0], self.slope(target, values)
         limit = self.step * _ROUNDING / _EPS
         # The sum is cheap and bounds every coordinate; the second test decides.
         if not (x.size < 4096 and np.vdot(x, x) <= limit * limit) and (np.abs(x) > limit).any():
-            slope = self._widened(function, source, target, x, values[:, 0], slope, reach)
+            slope = self._widened(function, source, target, x, value, slope, reach)
+        if not surely_finite(slope):
+            value = np.where(np.isinf(values).any(axis=1), np.inf, value)
+            slope = np.where(target.infinite(value)[..., None], 0.0, slope)
         if reach == n:
-            return values[:, 0], slope
+            return value, slope
         out = np.zeros((*slope.shape[:-1], n))
         out[..., :reach] = slope
-        return values[:, 0], out
+        return value, out
 
     def _widened(
         self,

@@ -15,7 +15,9 @@ class Model(Protocol):
     """The methods that an estimator may call on a model. Times are in s.
 
     `x` may be `(run, nx)` or `(run, point, nx)`; `u` is `(run, nu)` and is constant over the
-    interval. A row that cannot be computed (the simulation diverged) is NaN in the result.
+    interval. A row that cannot be computed (the simulation diverged) is NaN in the result. A
+    component of a measurement that is +inf has no return (a ray that hits nothing): a filter does
+    not use it; see `estimators.no_return`.
     """
 
     @property
@@ -57,7 +59,7 @@ class Model(Protocol):
         t: float,
         channels: Channels = None,
     ) -> Float[Array, "*lead ny"]:
-        """h: the measurement without noise."""
+        """h: the measurement without noise; +inf for a component without a return at x."""
         ...
 
     def measurement_jacobian(
@@ -67,7 +69,10 @@ class Model(Protocol):
         t: float,
         channels: Channels = None,
     ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
-        """h(x) and H = ∂h/∂x, from the tangent at x to that at h(x)."""
+        """h(x) and H = ∂h/∂x, from the tangent at x to that at h(x).
+
+        The row of a component without a return (+inf in h) is zero.
+        """
         ...
 
     def measurement_noise(self, t: float, channels: Channels = None) -> Float[Array, "... m m"]:

@@ -63,7 +63,7 @@ class Backend(Protocol):
         stage: int,
         columns: Int[NDArray[np.intp], " m"],
     ) -> Float[Array, "*lead m"]:
-        """Noise-free sensor readings at x, in the units of the sensors.
+        """Noise-free sensor readings at x, in the units of the sensors, as the engine gives them.
 
         Args:
             x: as for `step`.

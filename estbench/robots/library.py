@@ -41,8 +41,8 @@ def _enter() -> None:
     with _lock:
         _users += 1
         if _users == 1:
-            _saved = (_profiling_callback().value, mujoco.MjLogConfig.get())
-            _profiling_callback().value = None
+            _saved = (_callback("mjcb_time").value, mujoco.MjLogConfig.get())
+            _callback("mjcb_time").value = None
             silent = mujoco.MjLogConfig.get()
             silent.logto_console, silent.logto_file = 0, 0
             mujoco.MjLogConfig.set(silent)
@@ -53,12 +53,17 @@ def _leave() -> None:
     with _lock:
         _users -= 1
         if _users == 0 and _saved is not None:
-            _profiling_callback().value = _saved[0]
+            _callback("mjcb_time").value = _saved[0]
             mujoco.MjLogConfig.set(_saved[1])
             _saved = None
 
 
-def _profiling_callback() -> ctypes.c_void_p:
-    """The pointer `mjcb_time` of the loaded library."""
+def computes_user_sensors() -> bool:
+    """Whether a callback is installed that computes sensors of type `user`."""
+    return _callback("mjcb_sensor").value is not None
+
+
+def _callback(name: str) -> ctypes.c_void_p:
+    """A global callback pointer of the loaded library, by its name."""
     library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time")
+    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), name)

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from estbench.errors import ScenarioError, user_error_location
 from estbench.robots import layout
 from estbench.robots.backend import Backend
+from estbench.robots.no_return import NoReturns
 from estbench.shapes import Array, Float, Int
 from estbench.spaces.manifold import Manifold, product
 
 StateFunction = Callable[[Array, Array, float], Array]
-"""h(x, u, t): state `(..., nx)`, control `(..., nu)`, time in s -> reading `(..., m)`."""
+"""h(x, u, t): state `(..., nx)`, control `(..., nu)`, time in s -> reading `(..., m)`; +inf for a
+component without a return."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,8 @@ class Measurand:
 class Plan:
     """How to read several channels together, with at most one call of the backend.
 
+    A component without a return (see `no_return`) is +inf.
+
     Args:
         model: compiled MuJoCo model.
         sources: one per channel, in order.
@@ -101,6 +105,7 @@ class Plan:
         sensors = [i for s in sources for i in s.sensors]
         parts = [s.columns(model) for s in sources]
         self._columns = np.concatenate(parts) if parts else np.zeros(0, np.intp)
+        self._nothing = NoReturns.of(model, sensors, self._columns)
         self._stage = needed_stage(model, sensors)
         self._sources = tuple(sources) if any(s.function for s in sources) else ()
         self.known = None if self._sources else _coordinates(model, sensors, self._columns)
@@ -120,10 +125,10 @@ class Plan:
         if self.known is not None:
             return x[..., self.known[0]]
         if not self._sources:
-            return backend.read(x, u, t, self._stage, self._columns)
+            return self._sensed(backend, x, u, t)
         sensed, start = np.empty((*x.shape[:-1], 0)), 0
         if len(self._columns):
-            sensed = backend.read(x, u, t, self._stage, self._columns)
+            sensed = self._sensed(backend, x, u, t)
         parts = []
         for source in self._sources:
             if source.function is not None:
@@ -133,6 +138,16 @@ class Plan:
             parts.append(sensed[..., start : start + source.space.nx])
             start += source.space.nx
         return np.concatenate(parts, axis=-1)
+
+    def _sensed(self, backend: Backend, x: Array, u: Array, t: float | Array) -> Array:
+        """The readings of the MuJoCo sensors, +inf where they have no return."""
+        if self._nothing is None:
+            return backend.read(x, u, t, self._stage, self._columns)
+        width, columns = len(self._columns), (self._columns, self._nothing.columns)
+        raw = backend.read(x, u, t, self._stage, np.concatenate(columns))
+        y = raw[..., :width]
+        self._nothing.mark(y, raw[..., width:])
+        return y
 
 
 def _coordinates(

@@ -151,7 +151,10 @@ class MujocoModel:
         t: float,
         channels: Channels = None,
     ) -> Float[Array, "*lead ny"]:
-        """The readings at x under the control u, without disturbance or noise."""
+        """The readings at x under the control u, without disturbance or noise.
+
+        A component without a return is +inf.
+        """
         return self._select(channels).plan.read(self._backend, x, self._clamp(u), t)
 
     def measurement_jacobian(

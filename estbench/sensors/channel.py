@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand
+from estbench.robots.no_return import never_returns
 from estbench.scenario.schema import BelievedChannelSection, ChannelSection
 from estbench.sensors import datasheet, measurands, schedules
 from estbench.sensors.imperfections import Imperfections
@@ -145,6 +146,12 @@ def build(
         cutoff = _per_axis(model, measurand, mjcf_cutoff(model), np.inf)
         imperfections = datasheet.imperfections(section, where, measurand.space, cutoff)
         read = tuple(names[i] for i in measurand.sensors)
+        notices += [
+            f"{name}: no reading arrives, as nothing computes the user sensor {names[i]}; describe "
+            f"it by [channels.NAME] function = 'module:function'"
+            for i in measurand.sensors
+            if never_returns(model, i)
+        ]
         columns = measurand.columns(model)
         channels.append(
             Channel(name, measurand, read, kind, cov, columns, timing, imperfections, schedule)

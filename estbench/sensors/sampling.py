@@ -18,6 +18,7 @@ from estbench.sensors import imperfections
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
+from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import product
 from estbench.spaces.selection import chosen, select
 
@@ -31,8 +32,9 @@ class Delivery:
     Attributes:
         channels: their names, in the measurement's order.
         due: tick at which they were due; `(row,)` where the rows differ.
-        y: of one channel after the other `(row, ny)`; only the rows of `mask` mean anything.
-        mask: rows whose reading arrives now `(row,)`; None means all.
+        y: of one channel after the other `(row, ny)`; only the rows of `mask` mean anything. A
+            component that is +inf had no return (see `robots.no_return`): it has not arrived.
+        mask: rows whose reading arrives now, at least one component of it `(row,)`; None means all.
         taken: tick at which they were taken; without jitter `due`.
         widths: numbers in the reading of each channel; empty where there is one channel.
     """
@@ -52,7 +54,11 @@ class Delivery:
         start = 0
         for name, width in zip(self.channels, self.widths):
             stop = start + width
-            yield replace(self, channels=(name,), y=self.y[:, start:stop], widths=())
+            y, mask = self.y[:, start:stop], self.mask
+            if not surely_finite(y):
+                seen = np.any(~np.isinf(y), axis=1)
+                mask = np.asarray(seen if mask is None else mask & seen)
+            yield replace(self, channels=(name,), y=y, mask=mask, widths=())
             start = stop
 
 
@@ -188,13 +194,13 @@ class Sampler:
         """The readings that are due, and the number of each row's."""
         if self._shared is not None and moved is None:
             due, here, number = self._shared, None, self._shared_number
-            y, got = self._read(clean, None, due - self._shared_begin)
+            y, got = self._returned(clean, None, due - self._shared_begin)
             self._shared = self._upcoming(tick)
         else:
             self._separate()
             taking = self._next <= tick if moved is None else (self._next <= tick) & moved
             here, due, number = None if taking.all() else taking, self._due, self._number.copy()
-            y, got = self._read(clean, here, due - self._begin)
+            y, got = self._returned(clean, here, due - self._begin)
             while taking.any():  # a step of an environment may pass over more than one
                 self._number[taking] += 1
                 self._plan(taking)
@@ -215,6 +221,20 @@ class Sampler:
             packet = replace(delivery, mask=None if together.all() else together)
             self._waiting.append((arrival, packet))
             self._soonest = min(self._soonest, arrival)
+
+    def _returned(
+        self, clean: Array, here: Mask | None, due: int | Ints
+    ) -> tuple[Array, Mask | None]:
+        """As `_read`, of true readings of which a component without a return is +inf.
+
+        The sensor's noise and memory go on as if the true reading were zero there.
+        """
+        if surely_finite(clean):
+            return self._read(clean, here, due)
+        gone = np.isinf(clean)
+        y, got = self._read(np.where(gone, 0.0, clean), here, due)
+        seen = np.any(~gone, axis=1)
+        return np.where(gone, np.inf, y), np.asarray(seen if got is None else got & seen)
 
     def _read(self, clean: Array, here: Mask | None, due: int | Ints) -> tuple[Array, Mask | None]:
         """A reading `(row, ny)` with all that the sensor does to it, and who gets it `(row,)`.

@@ -12,6 +12,7 @@ from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
 from estbench.sensors.sampling import Delivery, Sampler, alike, divided
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
+from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import product
 
 
@@ -29,7 +30,8 @@ class SensorSuite:
     Attributes:
         channels: sensors in use.
         space: the manifold of all channels' readings, one after the other.
-        latest: the latest reading of every channel that arrived `(row, ny)`; only with `look`.
+        latest: the latest reading of every channel that arrived `(row, ny)`, 0 for a component
+            that never had a return; only with `look`.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class SensorSuite:
             point, width = self._points[channel.name], channel.space.n
             white = streams.normals(seed, runs, f"sensor:{channel.name}:look", 1, width)[0]
             y = channel.space.plus(clean[:, point], channel.noise_from(white, 0.0))
-            self.latest[rows, point] = y
+            self.latest[rows, point] = np.where(np.isinf(y), 0.0, y)
 
     def read(
         self,
@@ -124,7 +126,7 @@ class SensorSuite:
         x: Float[Array, "row nx"],
         u: Float[Array, "row nu"],
     ) -> Float[Array, "row ny"]:
-        """Noise-free readings `(row, ny)` of some channels, one after the other."""
+        """Noise-free readings `(row, ny)` of some channels, +inf where there is no return."""
         return self._read(self._plan(channels), t, x, u)
 
     def _plan(self, channels: Sequence[Channel]) -> Plan:
@@ -141,8 +143,10 @@ class SensorSuite:
         return plan.read(self._backend, x, u, t)
 
     def _note(self, delivery: Delivery) -> None:
-        point = self._points[delivery.channels[0]]
+        point, y = self._points[delivery.channels[0]], delivery.y
+        if not surely_finite(y):  # a component without a return keeps its last value
+            y = np.where(np.isinf(y), self.latest[:, point], y)
         if delivery.mask is None:
-            self.latest[:, point] = delivery.y
+            self.latest[:, point] = y
         else:
-            self.latest[delivery.mask, point] = delivery.y[delivery.mask]
+            self.latest[delivery.mask, point] = y[delivery.mask]

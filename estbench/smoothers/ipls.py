@@ -7,6 +7,7 @@ import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.linear import joseph
+from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Measurement
 from estbench.estimators.sigma_points import SigmaPoints
 from estbench.estimators.ukf import MEASUREMENT, PREDICTION
@@ -114,11 +115,15 @@ def _linearized(
         seen.append([])
         for m in measurements[k]:
             output, rule = model.output(m.channels), rules(k, MEASUREMENT)
-            images = model.measurement(rule.draw(space, belief.mean, root), m.u, t, m.channels)
+            points = rule.draw(space, belief.mean, root)
+            images = model.measurement(points, m.u, t, m.channels)
+            images, came = extended(space, output, points, images, m.mask)
             predicted, residual, spread = rule.moments(output, images)
             slope, unexplained = rule.regress(residual, spread)
             noise = (1.0 + omega) * unexplained + model.measurement_noise(t, m.channels)
             offset = output.minus(m.y, predicted)
+            if came is not m.mask:  # of which no return is predicted
+                offset = np.where(came, offset, -np.inf)
             seen[k].append(_Affine(offset, _divided(slope, root), symmetrize(noise)))
         if k == len(controls):
             break

@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.linear import without_absent
+from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Measurement
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Model
@@ -173,7 +174,7 @@ def _linearize(
         predicted, H = model.measurement_jacobian(x[:, k], u, times[k], channels)
         R = np.broadcast_to(model.measurement_noise(times[k], channels), (runs, m, m))
         v = output.minus(y, predicted)
-        v, H, R = without_absent(v, H, R, mask)
+        v, H, R = without_absent(v, H, R, returned(v, mask))
         H, _ = carry(output, v, H, H)
         residuals.append(v)
         noise.append((row, output.transport(R, v)))

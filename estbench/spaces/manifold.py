@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import DimensionError
-from estbench.shapes import Array, Float, Int
+from estbench.shapes import Array, Bool, Float, Int, Mask
 from estbench.spaces import rotation
 from estbench.spaces.linalg import weighted
 
@@ -204,6 +204,15 @@ class Manifold:
             jacobian = rotation.right_jacobian(delta[..., turn])
             out[..., turn, :] = jacobian @ out[..., turn, :]
             out[..., turn] = out[..., turn] @ jacobian.mT
+        return out
+
+    def infinite(self, x: Float[Array, "*any nx"]) -> Bool[Mask, "*any n"]:
+        """Tangent coordinates whose number in the point is infinite; none of a quaternion."""
+        if self.flat:
+            return np.isinf(x)
+        out = np.zeros((*x.shape[:-1], self.n), bool)
+        for at, to in self._lines:
+            out[..., to] = np.isinf(x[..., at])
         return out
 
     def index(self, name: str) -> int:

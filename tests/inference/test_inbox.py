@@ -83,3 +83,13 @@ def test_forgetting():
     inbox.at(1)
     inbox.forget(3)
     assert [len(inbox.at(k)) for k in range(5)] == [0, 0, 0, 1, 1]
+
+
+def test_a_component_without_a_return_is_masked_and_zero():
+    inbox = Inbox(SPACES)
+    y = np.array([[1.0, np.inf], [2.0, 3.0], [np.inf, np.inf]])
+    inbox.add(4, Delivery(("b",), 0, y, np.array([True, True, False]), 0))
+    inbox.add(4, delivery("a", 5))
+    (joint,) = inbox.at(4)
+    np.testing.assert_array_equal(joint.mask, [[1, 1, 0], [1, 1, 1], [1, 0, 0]])
+    np.testing.assert_array_equal(joint.y, [[5, 1, 0], [5, 2, 3], [5, 0, 0]])

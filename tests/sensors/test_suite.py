@@ -106,3 +106,51 @@ def test_a_look_is_the_start_and_what_arrives_follows():
             expected = np.where(came[:, None], d.y, expected)
         np.testing.assert_array_equal(many.latest[:, start:stop], expected)
         start = stop
+
+
+def shy(x, u, t):
+    """Two beacons, of which a cart beyond one side hears none, and beyond the other one only."""
+    there = np.stack([x[..., 0], 2.0 * x[..., 0]], axis=-1)
+    there = np.where(x[..., :1] > 1.0, np.inf, there)
+    there[..., 1] = np.where(x[..., 0] < -1.0, np.inf, there[..., 1])
+    return there
+
+
+def shy_suite(*more, look=False):
+    beacon = f"channels.beacon={{function='{HERE}:shy', unit='m', noise=0.01{''.join(more)}}}"
+    prepared, sensors = suite("sensors=['beacon', 'gyro']", beacon, rows=3, look=look)
+    x = np.repeat(prepared.mean[None], 3, axis=0)
+    x[:, 0] = 2.0, 0.5, -2.0
+    return prepared, sensors, x
+
+
+IMPERFECT = ", bias=0.1, scale_factor=0.1, cutoff=3.0, quantization=0.001, stuck=0.1, latency=0.02"
+
+
+@pytest.mark.parametrize("more", ["", IMPERFECT])
+def test_a_component_without_a_return_does_not_arrive(more):
+    """One row without any return, one with all, one with the first component only."""
+    prepared, sensors, x = shy_suite(more)
+    sensors.start(np.arange(3), 0, range(3), 0, x, np.zeros((3, 1)))
+    period, seen = prepared.plant.nstep, 0
+    for k in range(1, 6):
+        t = k * prepared.plant.period
+        for delivery in divided(sensors.read(k * period, t, x, np.zeros((3, 1)))):
+            if delivery.channels == ("beacon",):
+                seen += 1
+                assert delivery.mask.tolist() == [False, True, True]
+                assert np.isfinite(delivery.y).tolist() == [[False] * 2, [True] * 2, [True, False]]
+    assert seen >= 3
+
+
+def test_the_latest_reading_stays_where_there_is_no_return():
+    """It is 0 before any return, and afterwards the last value that came."""
+    prepared, sensors, x = shy_suite(look=True)
+    u, period = np.zeros((3, 1)), prepared.plant.nstep
+    sensors.start(np.arange(3), 0, range(3), 0, x, u)
+    assert (sensors.latest[:, -2:] == 0.0).tolist() == [[True] * 2, [False] * 2, [False, True]]
+    before = sensors.latest.copy()
+    x[:, 0] = 2.0, 2.0, 0.5
+    sensors.read(period, prepared.plant.period, x, u)
+    assert sensors.latest[:2, -2:].tolist() == before[:2, -2:].tolist()
+    np.testing.assert_allclose(sensors.latest[2, -2:], [0.5, 1.0], atol=0.06)

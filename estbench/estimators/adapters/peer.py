@@ -29,6 +29,8 @@ class OneRun:
         dt: interval to the next time, s; 0 for an update.
         channels: channels of the measurement.
         arrived: mask `(m,)` of the components that arrived; None for all.
+        predicted: measurement at the mean, finite where `arrived`; it takes the place of a
+            component without a return at another state.
     """
 
     model: Model
@@ -38,6 +40,7 @@ class OneRun:
     dt: float = 0.0
     channels: Channels = None
     arrived: NDArray[np.bool_] | None = None
+    predicted: Array | None = None
 
     def f(self, points: Float[Array, "point n"]) -> Float[Array, "point n"]:
         """The states after dt."""
@@ -55,18 +58,22 @@ class OneRun:
 
     def h(self, points: Float[Array, "point n"]) -> Float[Array, "point m"]:
         """The measurements at the states."""
-        return self._kept(self.model.measurement(points[None], self.u, self.t, self.channels)[0])
+        y = self.model.measurement(points[None], self.u, self.t, self.channels)[0]
+        return self._kept(self._finite(y))
 
     def h_jacobian(self, x: Float[Array, " n"]) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
         """Measurement and H."""
         y, H = self.model.measurement_jacobian(x[None], self.u, self.t, self.channels)
-        return self._kept(y[0]), self._kept(H[0].T).T
+        return self._kept(self._finite(y[0])), self._kept(H[0].T).T
 
     def measurement_noise(self) -> Float[Array, "m m"]:
         """R."""
         R = self.model.measurement_noise(self.t, self.channels)
         R = R[self.index] if R.ndim == 3 else R
         return self._kept(self._kept(R).T).T
+
+    def _finite(self, y: Array) -> Array:
+        return y if self.predicted is None else np.where(np.isinf(y), self.predicted, y)
 
     def _kept(self, columns: Array) -> Array:
         return columns if self.arrived is None else columns[..., self.arrived]
@@ -134,11 +141,12 @@ class PeerFilter(GaussianEstimator):
         mean, cov = belief.mean.copy(), belief.cov.copy()
         runs, m = y.shape
         residual, S = np.zeros((runs, m)), np.tile(np.eye(m), (runs, 1, 1))
-        present = np.ones((runs, m), bool) if mask is None else mask
+        predicted = self.model.measurement(mean, u, t, channels)
+        present = ~np.isinf(predicted) & (True if mask is None else mask)
         fault = np.zeros(runs, np.uint8)
         for i in np.flatnonzero((belief.fault == 0) & present.any(axis=-1)):
             here = present[i]
-            one = OneRun(self.model, int(i), u[i : i + 1], t, 0.0, channels, here)
+            one = OneRun(self.model, int(i), u[i : i + 1], t, 0.0, channels, here, predicted[i])
             try:
                 mean[i], cov[i], (residual[i, here], S[i][np.ix_(here, here)]) = self.updated(
                     mean[i].copy(), cov[i].copy(), y[i, here], one

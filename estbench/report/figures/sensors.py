@@ -91,14 +91,19 @@ def record(setup: Setup, seconds: float, run: int = 0) -> list[Record]:
             Record(
                 channel,
                 ends[:shown],
-                clean if flat else space.minus(clean, start),
+                _drawn(clean) if flat else space.minus(clean, start),
                 timestep * np.array([c[1] for c in came]),
                 ends[[c[2] for c in came]],
-                y if flat else space.minus(y, start),
+                _drawn(y) if flat else space.minus(y, start),
                 np.array(sorted(lost)),
             )
         )
     return records
+
+
+def _drawn(readings: Array) -> Array:
+    """Readings with a gap where there is no return."""
+    return np.where(np.isinf(readings), np.nan, readings)
 
 
 def write(setup: Setup, path: Path, seconds: float = 3.0, run: int = 0) -> None:
