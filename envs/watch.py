@@ -203,6 +203,11 @@ def _disturbance(model: Any, space: Any, given: float | Mapping[str, Any]) -> Di
         )  # fmt: skip
     if not {"kind", "density", "matrix"} & set(given):
         return Disturbance.build(model, space, "additive", dict(given))
+    if given.get("accelerometer_sees", "control") != "control":
+        raise EnvError(
+            "process_noise.accelerometer_sees is for robots that estbench simulates: it does not "
+            "know the disturbance of another library's environment; remove it"
+        )
     kinds = ("additive", "force", "actuator")
     kind = given.get("kind", "additive")
     if kind not in kinds:

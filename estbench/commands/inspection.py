@@ -98,6 +98,7 @@ def render(resolved: Scenario) -> Group:
     lines = [
         f"control: {resolved.control.kind}, seeing {seen(resolved)}",
         f"process noise: {prepared.disturbance.kind}",
+        *([prepared.sight] if prepared.sight else []),
         f"estimators: {', '.join(resolved.estimators)}",
     ]
     warnings = [*prepared.notices, *_warnings(prepared)]

@@ -65,7 +65,7 @@ def extended(
     out[run, :, component] = _plane(space, points[run], value)
     lost = output.infinite(out).any(axis=1)
     out = np.where(np.isinf(out), 0.0, out)
-    return out, ~lost if mask is None else mask & ~lost
+    return out, np.asarray(~lost if mask is None else mask & ~lost)
 
 
 def _plane(

@@ -88,6 +88,11 @@ def disturbance(
     Raises:
         ScenarioError, CovarianceError, DimensionError: the section does not fit the model.
     """
+    if section.accelerometer_sees == "disturbance" and section.kind == "additive":
+        raise ScenarioError(
+            "process_noise.accelerometer_sees is 'disturbance' but kind is 'additive', a change of "
+            "the state that no sensor feels; use kind = 'force' or 'actuator'"
+        )
     density, assumed = section.density, ""
     if density is None:
         density = DEFAULT_DENSITY

@@ -12,13 +12,16 @@ import numpy as np
 from estbench.consistency.records import RESERVED
 from estbench.errors import EstbenchError, EstimatorError, ScenarioError, user_error_location
 from estbench.estimators import registry
+from estbench.estimators.of_state import OfState
 from estbench.estimators.protocol import Estimator, ScheduleCheck, depends_on_time
 from estbench.experiment import build as resolution
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
 from estbench.models.differences import Differences
+from estbench.models.seen_noise import SeenNoise
 from estbench.robots import flags, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.measurement import needed_stage
 from estbench.robots.model import MujocoModel, SensorChannel, whole_steps
 from estbench.scenario import load as scenarios
 from estbench.scenario import reference
@@ -32,6 +35,7 @@ from estbench.scenario.schema import (
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.channel import Channel
+from estbench.sensors.description import sight
 from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array, Float
 from estbench.simulation import controllers
@@ -105,23 +109,46 @@ class Setup:
 
     def estimator(self, label: str, nthread: int = 1) -> Estimator:
         """A new estimator of that label on a new model, with the start of the scenario."""
-        model, start = self.model(nthread), self.start(label)
+        model, start = self._believed(self.model(nthread)), self.start(label)
         settings = self.settings(label)
         if isinstance(settings.get("models"), list):
             settings["models"] = [self._varied(label, table) for table in settings["models"]]
         made = registry.create(label, settings, model)
-        if start.method == "prior":
-            return made
-        return starting.WarmStart(made, model, start.window, start.method)
+        if start.method != "prior":
+            made = starting.WarmStart(made, model, start.window, start.method)
+        return OfState.of(made, model) if isinstance(model, SeenNoise) else made
 
-    def _varied(self, label: str, changes: Any) -> MujocoModel:
+    @property
+    def seen(self) -> bool:
+        """Whether sensors see the disturbance."""
+        return self.scenario.process_noise.accelerometer_sees == "disturbance"
+
+    @property
+    def sight(self) -> str:
+        """What the sensors of accelerations and forces see of the disturbance; empty for none."""
+        if self.disturbance.kind == "additive" or not self.disturbance.rank:
+            return ""
+        model, acceleration = self.plant.model, int(mujoco.mjtStage.mjSTAGE_ACC)
+        names = [
+            channel.name
+            for channel in self.channels
+            if needed_stage(model, channel.measurand.sensors) >= acceleration
+        ]
+        return sight(names, self.seen)
+
+    def _believed(self, model: MujocoModel) -> MujocoModel | SeenNoise:
+        """The model that the estimators get: with the disturbance in its state where it is seen."""
+        return SeenNoise(model) if self.seen and self.filter_disturbance.rank else model
+
+    def _varied(self, label: str, changes: Any) -> MujocoModel | SeenNoise:
         """The filter's model with some parameters set, as one of the `models` of an estimator."""
         where = f"estimators.{label}.models"
         if not isinstance(changes, dict):
             raise ScenarioError(
                 f"{where}: {changes!r} is no table; use one like that of filter.set"
             )
-        return self.model(robot=parameters.changed(self.filter_model, changes, where))
+        robot = parameters.changed(self.filter_model, changes, where)
+        return self._believed(self.model(robot=robot))
 
     def depends_on_time(self, label: str) -> bool:
         """Whether what the estimator of that label computes may depend on the time.
@@ -227,6 +254,7 @@ class Setup:
             nthread,
             look,
             timed,
+            self.seen,
         )
 
     @property
@@ -377,7 +405,9 @@ def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
         raise EstimatorError(
             f"{label}: start.window is {start.window:g} s but the run only {end:g} s; shorten it"
         )
-    inner = estimator.estimator if isinstance(estimator, starting.WarmStart) else estimator
+    inner = estimator
+    while isinstance(inner, starting.WarmStart | OfState):
+        inner = inner.estimator
     if not isinstance(inner, ScheduleCheck):
         return
     try:

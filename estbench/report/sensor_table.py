@@ -26,6 +26,7 @@ def render(setup: Setup) -> Group:
     )
     table = Table(columns[:1], (columns[1:],))
     lines = [Text(line) for line in _beliefs(described, section.measurement_noise_scale)]
+    lines += [Text(setup.sight)] if setup.sight else []
     lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
     return Group(Text(setup.scenario.name, style="bold"), table, *lines)
 

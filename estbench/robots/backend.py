@@ -62,6 +62,7 @@ class Backend(Protocol):
         t: float | Array,
         stage: int,
         columns: Int[NDArray[np.intp], " m"],
+        force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead m"]:
         """Noise-free sensor readings at x, in the units of the sensors, as the engine gives them.
 
@@ -72,6 +73,7 @@ class Backend(Protocol):
             stage: the last forward stage (`mjtStage`) that is computed; see
                 `measurement.needed_stage`.
             columns: columns of `sensordata`.
+            force: as for `step`.
         """
         ...
 

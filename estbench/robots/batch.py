@@ -123,12 +123,17 @@ class BatchBackend:
         t: float | Array,
         stage: int,
         columns: Int[NDArray[np.intp], " m"],
+        force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead m"]:
         """See `Backend.read`."""
         slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
-        batch, _, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
+        batch, rows, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
+        if force is not None:
+            rows[..., self._force] = force
         bad = self._run(batch, bad, 0, stage)
         out = batch.bind("sensordata")[:, columns]
+        if force is not None:
+            rows[..., self._force] = 0.0
         if bad is not None:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], len(columns))

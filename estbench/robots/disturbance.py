@@ -17,11 +17,12 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
 from estbench.robots.layout import control_names
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Float, Int
 from estbench.spaces.linalg import is_positive_semidefinite, rescaled, row_product
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
@@ -164,10 +165,34 @@ class Disturbance:
             return self._density(t) * dt
         if not self.rank:
             return np.zeros((space.n, space.n))
-        points, push, force = self._pushed(x, u, self.root(t) * np.sqrt(1.0 / dt))
-        ends = backend.step(points, push, t, nstep, force)
-        response = space.minus(ends[:, 1:], ends[:, :1])
+        response = self.response(backend, space, x, u, t, dt, nstep)
         return response.mT @ response
+
+    def response(
+        self,
+        backend: Backend,
+        space: Manifold,
+        x: Float[Array, "run nx"],
+        u: Float[Array, "run nu"],
+        t: float,
+        dt: float,
+        nstep: int,
+    ) -> Float[Array, "run rank n"]:
+        """Γᵀ: the change of the end state under each column of `held`."""
+        points, push, force = self._pushed(x, u, self.held(t, dt))
+        ends = backend.step(points, push, t, nstep, force)
+        return space.minus(ends[:, 1:], ends[:, :1])
+
+    def held(self, t: float, dt: float) -> Float[Array, "k rank"]:
+        """A square root of the covariance Q_s/dt of a force or control that is held over dt."""
+        return self.root(t) * np.sqrt(1.0 / dt)
+
+    @property
+    def places(self) -> Int[NDArray[np.intp], " k"]:
+        """Forces or controls that may be disturbed; with a schedule any may."""
+        if self.schedule is not None:
+            return np.arange(len(self.density))
+        return np.flatnonzero(np.abs(self.factor).max(axis=1, initial=0.0))
 
     def intensity(
         self,

@@ -98,6 +98,7 @@ class Plan:
             indices of these components `(ny,)` and the Jacobian H `(ny, n)`; else None.
         reach: the readings depend on the first `reach` tangent coordinates only.
         timed: whether a reading is a function of the user's, which is given the time.
+        stage: the highest pipeline stage (mjtStage) that the sensors need.
     """
 
     def __init__(self, model: mujoco.MjModel, sources: Sequence[Measurand]):
@@ -106,12 +107,12 @@ class Plan:
         parts = [s.columns(model) for s in sources]
         self._columns = np.concatenate(parts) if parts else np.zeros(0, np.intp)
         self._nothing = NoReturns.of(model, sensors, self._columns)
-        self._stage = needed_stage(model, sensors)
+        self.stage = needed_stage(model, sensors)
         self._sources = tuple(sources) if any(s.function for s in sources) else ()
         self.known = None if self._sources else _coordinates(model, sensors, self._columns)
         nv, na = model.nv, model.na
         reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position does not depend on velocities
-        self.reach = reach[-1] if self._sources else reach[self._stage]
+        self.reach = reach[-1] if self._sources else reach[self.stage]
         self.timed = bool(self._sources)
 
     def read(
@@ -120,15 +121,19 @@ class Plan:
         x: Float[Array, "*lead nx"],
         u: Float[Array, "... nu"],
         t: float | Array,
+        force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead ny"]:
-        """Noise-free readings at states x, those of the channels concatenated in order."""
+        """Noise-free readings at states x, those of the channels concatenated in order.
+
+        The sensors see the generalized forces `force` too; None for none.
+        """
         if self.known is not None:
             return x[..., self.known[0]]
         if not self._sources:
-            return self._sensed(backend, x, u, t)
+            return self._sensed(backend, x, u, t, force)
         sensed, start = np.empty((*x.shape[:-1], 0)), 0
         if len(self._columns):
-            sensed = self._sensed(backend, x, u, t)
+            sensed = self._sensed(backend, x, u, t, force)
         parts = []
         for source in self._sources:
             if source.function is not None:
@@ -139,12 +144,14 @@ class Plan:
             start += source.space.nx
         return np.concatenate(parts, axis=-1)
 
-    def _sensed(self, backend: Backend, x: Array, u: Array, t: float | Array) -> Array:
+    def _sensed(
+        self, backend: Backend, x: Array, u: Array, t: float | Array, force: Array | None
+    ) -> Array:
         """The readings of the MuJoCo sensors, +inf where they have no return."""
         if self._nothing is None:
-            return backend.read(x, u, t, self._stage, self._columns)
+            return backend.read(x, u, t, self.stage, self._columns, force)
         width, columns = len(self._columns), (self._columns, self._nothing.columns)
-        raw = backend.read(x, u, t, self._stage, np.concatenate(columns))
+        raw = backend.read(x, u, t, self.stage, np.concatenate(columns), force)
         y = raw[..., :width]
         self._nothing.mark(y, raw[..., width:])
         return y

@@ -174,6 +174,52 @@ class MujocoModel:
             self._space, plan.space, x, plan.reach,
         )  # fmt: skip
 
+    @property
+    def disturbances(self) -> Manifold:
+        """The forces or controls that are disturbed."""
+        if self.disturbance.kind == "actuator":
+            names, units = layout.control_names(self.mjmodel), ("1",) * self.nu
+        else:
+            nv = self.mjmodel.nv
+            names = self._space.names[nv : 2 * nv]
+            units = tuple("N" if u == "m/s" else "N m" for u in self._space.units[nv : 2 * nv])
+        chosen = self.disturbance.places.tolist()
+        return Manifold(
+            tuple(f"disturbance.{names[i]}" for i in chosen), tuple(units[i] for i in chosen)
+        )
+
+    def sees_disturbance(self, channels: Channels = None) -> bool:
+        """Whether a channel reads accelerations or forces, or is a function of the control."""
+        plan = self._select(channels).plan
+        driven = plan.timed and self.disturbance.kind == "actuator"
+        return driven or plan.stage >= int(mujoco.mjtStage.mjSTAGE_ACC)
+
+    def disturbance_gain(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> tuple[Float[Array, "run n rank"], Float[Array, "k rank"]]:
+        """Γ, the change of the end state, and D, the disturbance itself, for unit noises."""
+        noise = self.disturbance
+        response = noise.response(
+            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+        )
+        return response.mT, noise.held(t, dt)[noise.places]
+
+    def disturbed_measurement(
+        self,
+        x: Float[Array, "*lead nx"],
+        d: Float[Array, "*lead k"],
+        u: Float[Array, "... nu"],
+        t: float,
+        channels: Channels = None,
+    ) -> Float[Array, "*lead ny"]:
+        """The readings under the disturbance d of the `disturbances`, without noise."""
+        plan, noise, u = self._select(channels).plan, self.disturbance, self._clamp(u)
+        whole = np.zeros((*d.shape[:-1], len(noise.density)))
+        whole[..., noise.places] = d
+        if noise.kind == "force":
+            return plan.read(self._backend, x, u, t, whole)
+        return plan.read(self._backend, x, (u if u.ndim == x.ndim else u[:, None]) + whole, t)
+
     def measurement_noise(self, t: float, channels: Channels = None) -> Float[Array, "... m m"]:
         """R, block-diagonal over the channels."""
         chosen = self._select(channels)

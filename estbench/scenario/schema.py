@@ -135,6 +135,11 @@ class ProcessNoiseSection(Section):
     schedule: Schedule | None = Field(
         None, description="rows (until s, factor on Q_s), or function: factor(s), or full Q_s"
     )
+    accelerometer_sees: Literal["control", "disturbance"] = Field(
+        "control",
+        description="what sensors of accelerations and forces are read under: the commanded "
+        "control alone, or the disturbance (force, actuator) of the last interval too",
+    )
 
 
 class AddSensor(Section):

@@ -119,6 +119,19 @@ def describe(channels: Sequence[Channel], section: FilterSection) -> tuple[Chann
     return tuple(ChannelDescription.of(c, section.channels.get(c.name)) for c in channels)
 
 
+def sight(names: Sequence[str], seen: bool) -> str:
+    """What channels of accelerations and forces see of the disturbance; empty without any.
+
+    Args:
+        names: of these channels.
+        seen: whether they see it.
+    """
+    if not names:
+        return ""
+    what = "control and disturbance" if seen else "control without the disturbance"
+    return f"read under the {what} (process_noise.accelerometer_sees): {', '.join(names)}"
+
+
 def numbers(values: Float[Array, " k"]) -> str:
     """The different values, in order; one number where all are equal."""
     return " ".join(dict.fromkeys(f"{v:.3g}" for v in values))

@@ -89,6 +89,7 @@ class SensorSuite:
         x: Float[Array, "row nx"],
         u: Float[Array, "row nu"],
         moved: Bool[Mask, " row"] | None = None,
+        force: Float[Array, "row nv"] | None = None,
     ) -> list[Delivery]:
         """Take the readings that are due, and hand out those that arrive.
 
@@ -98,6 +99,7 @@ class SensorSuite:
             x: true states `(row, nx)`.
             u: controls `(row, nu)`.
             moved: rows for which time has passed `(row,)`; None is all.
+            force: generalized forces that the sensors see; None for none.
         """
         takes = tuple([sampler.takes(tick) for sampler in self._samplers])
         y = None
@@ -105,7 +107,7 @@ class SensorSuite:
             if takes not in self._plans:
                 due = [s.channels for s, now in zip(self._samplers, takes) if now]
                 self._plans[takes] = self._plan([c for channels in due for c in channels])
-            y = self._read(self._plans[takes], t, x, u)
+            y = self._read(self._plans[takes], t, x, u, force)
         out: list[Delivery] = []
         start = 0
         for sampler, now in zip(self._samplers, takes):
@@ -132,15 +134,17 @@ class SensorSuite:
     def _plan(self, channels: Sequence[Channel]) -> Plan:
         return Plan(self._model, [c.measurand for c in channels])
 
-    def _read(self, plan: Plan, t: float | Array, x: Array, u: Array) -> Array:
+    def _read(
+        self, plan: Plan, t: float | Array, x: Array, u: Array, force: Array | None = None
+    ) -> Array:
         """Noise-free readings `(row, ny)` of the channels of a plan."""
         if plan.timed and not isinstance(t, float):  # a user's function is given one time
             out = np.empty((len(x), plan.space.nx))
             for now in np.unique(t):
                 here = t[:, 0] == now
-                out[here] = plan.read(self._backend, x, u, float(now))[here]
+                out[here] = plan.read(self._backend, x, u, float(now), force)[here]
             return out
-        return plan.read(self._backend, x, u, t)
+        return plan.read(self._backend, x, u, t, force)
 
     def _note(self, delivery: Delivery) -> None:
         point, y = self._points[delivery.channels[0]], delivery.y

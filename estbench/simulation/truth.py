@@ -41,6 +41,7 @@ class Simulator:
         nthread: threads of the physics.
         look: whether every episode begins with a look at all channels (see `SensorSuite`).
         timed: whether whoever follows the robots depends on the time.
+        seen: whether the sensors see the disturbance of the interval at whose end they are read.
 
     Attributes:
         x: true states `(row, nx)`; NaN from where MuJoCo failed until the row begins anew.
@@ -62,8 +63,10 @@ class Simulator:
         nthread: int = 1,
         look: bool = False,
         timed: bool = False,
+        seen: bool = False,
     ):
         self._model, self._space, self._disturbance = model, space, disturbance
+        self._seen = seen
         self._mean, self._factor = initial
         self._backend, self._range = backend.create(model, nthread), ControlRange.of(model)
         self.clocks = Clocks(rows, schedule, timed)
@@ -116,8 +119,9 @@ class Simulator:
     def advance(self, event: Event, u: Float[Array, "row nu"]) -> list[Delivery]:
         """Step some rows under controls u `(row, nu)`, and read what arrives.
 
-        The sensors are read under the commanded control, without the disturbance: an accelerometer
-        that saw the white force would correlate v with w, which every filter here excludes.
+        Unless `seen` the sensors are read under the commanded control, without the disturbance: an
+        accelerometer that sees the white force correlates v with w, for which the filter's state
+        needs the disturbance (`models.seen_noise`).
         """
         u = self._range.clamp(u)
         start, end = self.clocks.time(event)
@@ -132,4 +136,6 @@ class Simulator:
         if w is not None and noise.kind == "additive":
             x = self._space.plus(x, w)
         self.x = x if event.rows is None else np.where(event.rows[:, None], x, self.x)
+        if self._seen:
+            return self.suite.read(event.tick, end, self.x, driven, event.rows, force)
         return self.suite.read(event.tick, end, self.x, u, event.rows)

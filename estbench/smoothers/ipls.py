@@ -122,7 +122,7 @@ def _linearized(
             slope, unexplained = rule.regress(residual, spread)
             noise = (1.0 + omega) * unexplained + model.measurement_noise(t, m.channels)
             offset = output.minus(m.y, predicted)
-            if came is not m.mask:  # of which no return is predicted
+            if came is not None and came is not m.mask:  # of which no return is predicted
                 offset = np.where(came, offset, -np.inf)
             seen[k].append(_Affine(offset, _divided(slope, root), symmetrize(noise)))
         if k == len(controls):

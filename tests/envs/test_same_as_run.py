@@ -47,6 +47,9 @@ MORE = {
         ("channels.encoder.latency=0.03", "channels.encoder.latency_std=0.02",
          "filter.window=0.03"),
     ),
+    "sensors see the disturbance": (
+        "assets/quadrotor/scenario.toml", ("process_noise.accelerometer_sees=disturbance",),
+    ),
     "schedules and draws": (
         "assets/pendulum/scenario.toml",
         (
