@@ -1,4 +1,4 @@
-"""`follow` at the address that scripts of version 0.1 name; `estbench.follow` is the same function."""
+"""`follow` at the address that scripts of version 0.1 name; it is `estbench.follow`."""
 
 from estbench.inference.offline import follow
 
