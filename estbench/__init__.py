@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from estbench.estimators.particle import ParticleFilter
     from estbench.estimators.protocol import Estimator, FilterHistory, Innovation, Smoother
     from estbench.estimators.ukf import UKF
-    from estbench.inference.offline import follow
+    from estbench.following import follow
     from estbench.models.continuous import ContinuousFunctionModel
     from estbench.models.function import FunctionModel
     from estbench.models.linear import LinearModel
@@ -102,7 +102,7 @@ _MODULES = {
     "estimators.particle": ("ParticleFilter",),
     "estimators.protocol": ("Estimator", "FilterHistory", "Innovation", "Smoother"),
     "estimators.ukf": ("UKF",),
-    "inference.offline": ("follow",),
+    "following": ("follow",),
     "models.continuous": ("ContinuousFunctionModel",),
     "models.function": ("FunctionModel",),
     "models.linear": ("LinearModel",),

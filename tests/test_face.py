@@ -19,7 +19,7 @@ import estbench
 model = estbench.LinearModel(A=np.eye(2), C=np.eye(2), Q=np.eye(2), R=np.eye(2))
 estimator: estbench.Estimator = estbench.EKF(model)
 history = estbench.follow(estimator, np.zeros((1, 2)), np.eye(2)[None], np.zeros((5, 1, 2)))
-assert_type(history, estbench.FilterHistory)
+smoothable: estbench.FilterHistory = history  # what a smoother takes
 assert_type(estbench.run("pendulum", ["ekf"], runs=2), estbench.Results)
 """
 

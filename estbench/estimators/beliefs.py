@@ -23,6 +23,9 @@ class Fault(IntEnum):
     INNOVATION = 3
     TRUTH = 4
     REFERENCE = 5
+    ASYMMETRIC = 6
+    NIS = 7
+    WEIGHTS = 8
 
     @property
     def text(self) -> str:
@@ -34,6 +37,10 @@ class Fault(IntEnum):
             "the innovation covariance S is not positive definite",
             "the simulation of the truth failed",
             "the reference estimator, whose estimate the controller sees, failed",
+            "the state covariance P is not symmetric",
+            "NIS is not νᵀS⁻¹ν of the innovation ν and its covariance S, or not finite",
+            "the weights of the particles have vanished: no more than n of them carry the belief; "
+            "raise `size`, set `regularization` (0.5 to 1), or use enkf or ukf",
         )[self]
 
 

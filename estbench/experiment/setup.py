@@ -15,8 +15,10 @@ from estbench.estimators import registry
 from estbench.estimators.of_state import OfState
 from estbench.estimators.protocol import Estimator, ScheduleCheck, depends_on_time
 from estbench.experiment import build as resolution
+from estbench.experiment.trial import try_estimator
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
+from estbench.inference.priors import checked_prior
 from estbench.models.differences import Differences
 from estbench.models.seen_noise import SeenNoise
 from estbench.robots import flags, layout, mjcf, parameters
@@ -343,8 +345,11 @@ def build(scenario: Scenario) -> Setup:
                 f"estimators: the label '{label}' cannot name a group of results; use letters, "
                 f"digits, '.', '-', '+' or '_', but not {', '.join(sorted(RESERVED))}"
             )
-        _check_lengths(setup, label, setup.estimator(label))
-        setup.prior(label)
+        estimator = setup.estimator(label)
+        _check_lengths(setup, label, estimator)
+        prior = setup.prior(label)
+        checked_prior(*(a[None] for a in prior), space)
+        try_estimator(label, estimator, setup.model(), prior, u0, instants[0])
         setup.delays(label)
     _check_window(setup)
     for key, draw in scenario.truth.draw.items():

@@ -98,7 +98,7 @@ def run_filter(
             began = time.thread_time()
             fusion.step(event, u, arrived)
             cpu_time += time.thread_time() - began
-            recorder.add(k + 1, x, fusion.belief)
+            recorder.add(k + 1, x, fusion.belief, fusion.fault)
         if history is not None:
             began = time.thread_time()
             smoothed = cast(Smoother, estimator).smooth(history)

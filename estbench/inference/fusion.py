@@ -13,12 +13,13 @@ from typing import Any, Literal
 import numpy as np
 
 from estbench.estimators.protocol import Estimator, FilterHistory, Measurement
+from estbench.inference.answers import Answers, kept
 from estbench.inference.inbox import Inbox
-from estbench.inference.innovations import InnovationLog, check
+from estbench.inference.innovations import InnovationLog
 from estbench.inference.run_subset import ALL, RunIndex, put, some, take, within
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery, divided
-from estbench.shapes import Array, Bool, Float, Ints, Mask
+from estbench.shapes import Array, Bool, Faults, Float, Ints, Mask
 from estbench.spaces.selection import select
 
 
@@ -65,6 +66,7 @@ class Fusion:
     Attributes:
         belief: of all rows, now.
         late: readings of each row that came after the window and were not fused `(row,)`.
+        fault: `Fault` of each row that the estimator's innovations have shown; None for none.
     """
 
     def __init__(
@@ -85,7 +87,9 @@ class Fusion:
         self._count = 0  # events so far
         self._began: list[tuple[Mask, Any]] = []
         self._start = np.zeros(log.rows, np.int64)  # the first event of each row's episode
-        self._checked: set[tuple[str, ...]] = set()
+        self._answers = Answers(estimator)
+        self._widths: dict[tuple[str, ...], int] = {}
+        self.fault: Faults | None = None
         self.late = np.zeros(log.rows, np.int64)
 
     def restart(self, rows: Bool[Mask, " row"], fresh: Any) -> None:
@@ -100,6 +104,8 @@ class Fusion:
         """
         self.belief = select(rows, fresh, self.belief)
         self._start[rows], self.late[rows] = self._count, 0
+        if self.fault is not None:
+            self.fault[rows] = 0
         if self._memory:
             self._began.append((rows, fresh))
 
@@ -244,9 +250,12 @@ class Fusion:
             answer = self._estimator.update(
                 take(belief, came), y, u[runs], step.event.instant.end, joint.channels, **masked
             )
-            if joint.channels not in self._checked:
-                self._check(answer, joint.channels, len(y))
-            part, innovation = answer
+            part, innovation = self._answers.checked(
+                answer, joint.channels, len(y), self._width(joint.channels)
+            )
+            wrong = self._answers.innovation(part, innovation, masked.get("mask"))
+            if wrong is not None:
+                self._mark(runs, wrong)
             belief = put(belief, came, part)
             self._log.put(k, layer, joint.channels, innovation, masked.get("mask"), runs)
         if self._history is not None:  # a replay writes over what it changes
@@ -256,13 +265,17 @@ class Fusion:
             ]
         return belief
 
-    def _check(self, answer: Any, channels: tuple[str, ...], runs: int) -> None:
-        """Check the first updates by these channels, up to one that fuses: a start only gathers."""
-        m = sum(self._inbox.spaces[name].n for name in channels)
-        started = getattr(self._estimator, "estimator", self._estimator)  # by its own name
-        check(type(started).__name__, answer, runs, m)
-        if np.any(answer[1].dof):
-            self._checked.add(channels)
+    def _width(self, channels: tuple[str, ...]) -> int:
+        """Components of a joint measurement."""
+        if channels not in self._widths:
+            self._widths[channels] = sum(self._inbox.spaces[name].n for name in channels)
+        return self._widths[channels]
+
+    def _mark(self, runs: RunIndex, fault: Faults) -> None:
+        """Note faults of some rows; the first of a row stays."""
+        if self.fault is None:
+            self.fault = np.zeros(len(self.late), np.uint8)
+        self.fault[runs] = kept(self.fault[runs], fault)
 
     def _forget(self, tick: int) -> int:
         """Drop what no reading can reach any more; the first event that is left."""

@@ -5,7 +5,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from estbench.errors import DimensionError, EstimatorError
 from estbench.estimators.likelihood import log_likelihood
 from estbench.estimators.protocol import Innovation
 from estbench.inference.lags import Lags
@@ -21,38 +20,6 @@ def readings(spaces: Mapping[str, Manifold]) -> tuple[str, ...]:
         for channel, space in spaces.items()
         for name in space.names
     )
-
-
-def check(estimator: str, answer: Any, runs: int, m: int) -> None:
-    """Refuse an answer of `update` that could not be recorded, or would be recorded as nonsense.
-
-    Args:
-        estimator: its name.
-        answer: what `update` returned for `runs` runs of m components.
-        runs: how many.
-        m: components of the joint measurement's tangent.
-
-    Raises:
-        EstimatorError: it is no pair of a belief and an innovation.
-        DimensionError: nis or dof is not `(run,)`, or white or residual `(run, m)`, or cov
-            `(run, m, m)`; these three may be empty, and dof and cov the same for all runs.
-    """
-    pair = isinstance(answer, tuple | list) and len(answer) == 2
-    if not pair or any(not hasattr(answer[1], name) for name in ("nis", "dof", "white")):
-        kinds = ", ".join(type(part).__name__ for part in answer) if pair else type(answer).__name__
-        raise EstimatorError(
-            f"{estimator}: update returned {kinds}; return a pair, the belief and an Innovation"
-        )
-    shapes = {"nis": (runs,), "dof": (runs,), "white": (runs, m), "residual": (runs, m)}
-    for name, expected in (shapes | {"cov": (runs, m, m)}).items():
-        found = np.shape(getattr(answer[1], name, ()))
-        none = name not in ("nis", "dof") and (0 in found or not hasattr(answer[1], name))
-        shared = name in ("dof", "cov") and found in (expected[1:], (1, *expected[1:]))
-        if found != expected and not none and not shared:
-            raise DimensionError(
-                f"{estimator}: update returned an Innovation whose {name} has shape {found}; "
-                f"expected {expected}"
-            )
 
 
 class InnovationLog(Protocol):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from estbench.errors import EstbenchError, EstimatorError, SelectionError, user_error_location
-from estbench.estimators.beliefs import start
+from estbench.estimators.beliefs import Fault, start
 from estbench.estimators.protocol import Estimator
 from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
@@ -131,7 +131,8 @@ class LiveFilter:
         if len(self._cohorts) == 1 and self._cohorts[0].rows is None:
             log, (mean, cov) = self._cohorts[0].log, self._moments(self._cohorts[0])
             self.innovation, self.nis, self.dof = log.innovation, log.nis, log.dof
-            if not np.count_nonzero(self.failed) and surely_finite(mean, cov):
+            sound = self._cohorts[0].fusion.fault is None and not np.count_nonzero(self.failed)
+            if sound and surely_finite(mean, cov):
                 self.estimate, self.cov = np.array(mean), np.array(cov)
                 return
         # Not in place: the last ones may still be in use.
@@ -234,6 +235,8 @@ class LiveFilter:
         rows = np.arange(self.rows) if cohort.rows is None else cohort.rows
         good = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-2, -1))
         good &= ~self.failed[rows] & here
+        if cohort.fusion.fault is not None:
+            good &= cohort.fusion.fault == Fault.NONE
         self.estimate[rows[good]], self.cov[rows[good]] = mean[good], cov[good]
         self.failed[rows[here]] = ~good[here]
         here_now = rows[here]

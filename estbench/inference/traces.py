@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from estbench.errors import DimensionError
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.protocol import Estimator
+from estbench.inference.answers import Answers
 from estbench.inference.lags import correlation
 from estbench.shapes import Array, Bool, Faults, Float, Int, Ints, Mask, UInt
 from estbench.spaces.manifold import Manifold
@@ -76,23 +76,31 @@ class Recorder:
         self, estimator: Estimator, space: Manifold, count: int, runs: int, keep_cov: bool
     ):
         n = space.n
-        self._estimator, self._space = estimator, space
+        self._space, self._shape = space, (runs, space.nx, n)
         self.truth, self.mean = (np.empty((count + 1, runs, space.nx)) for _ in range(2))
         self._error, self._std = (np.empty((count + 1, runs, n)) for _ in range(2))
         self._nees, self._rank = np.empty((count + 1, runs)), np.empty((count + 1, runs), np.int64)
         self._size = np.zeros((runs, n))
         self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
         self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
+        self._answers = Answers(estimator)
 
-    def add(self, index: int, x: Float[Array, "run nx"], belief: Any) -> None:
-        """Compare the belief with the true state at the index-th time."""
-        runs, n = self._nees.shape[1], self._space.n
-        m, P = self._estimator.mean(belief), self._estimator.cov(belief)
-        if m.shape != (runs, self._space.nx) or P.shape != (runs, n, n):
-            raise DimensionError(
-                f"{type(self._estimator).__name__}: mean has shape {m.shape} and cov {P.shape}; "
-                f"expected {(runs, self._space.nx)} and {(runs, n, n)}"
-            )
+    def add(
+        self,
+        index: int,
+        x: Float[Array, "run nx"],
+        belief: Any,
+        fault: UInt[Faults, " run"] | None = None,
+    ) -> None:
+        """Compare the belief with the true state at the index-th time.
+
+        Args:
+            index: of the time.
+            x: the true states.
+            belief: of all runs.
+            fault: of each run, where the estimator's innovations have shown one.
+        """
+        m, P = self._answers.moments(belief, *self._shape)
         self.truth[index], self.mean[index] = x, m
         self._error[index] = self._space.minus(x, m)
         # A coordinate that was large has the rounding errors of that time, though it is small now.
@@ -105,6 +113,9 @@ class Recorder:
         self._nees[index], self._rank[index] = form.value, form.dof
         if self._cov is not None:
             self._cov[index] = P
+        for found in (self._answers.asymmetry(P), fault):
+            if found is not None:
+                self._note(index, found > 0, found)
         broken = ~np.isfinite(self._nees[index])
         if broken.any():
             self._mark(index, broken, x, m, P, getattr(belief, "fault", None))
@@ -119,12 +130,14 @@ class Recorder:
         reason: UInt[Faults, " run"] | None,
     ) -> None:
         """Note when and why each broken run failed first."""
-        new = broken & (self._fault == Fault.NONE)
         finite = np.isfinite(P).all(axis=(-2, -1)) & np.isfinite(m).all(axis=-1)
         code = np.where(finite, Fault.COVARIANCE, Fault.STATE)
         if reason is not None:
             code = np.where(reason > 0, reason, code)
-        code = np.where(np.isfinite(x).all(axis=-1), code, Fault.TRUTH)
+        self._note(index, broken, np.where(np.isfinite(x).all(axis=-1), code, Fault.TRUTH))
+
+    def _note(self, index: int, broken: Bool[Mask, " run"], code: Array | Faults) -> None:
+        new = broken & (self._fault == Fault.NONE)
         self._fault[new], self._fault_step[new] = code[new], index
 
     def traces(self, fused: Mapping[str, Any]) -> Traces:

@@ -32,9 +32,13 @@ def numbers(what: str, given: Any, expected: str) -> Array:
     """A user's value as an array of float64; `what` begins the message, e.g. `f returned`.
 
     Raises:
-        DimensionError: the value is not an array of real numbers, or it is float32, whose rounding
-            errors would dominate a Jacobian by differences.
+        DimensionError: the value is not an array of real numbers, or is masked, or it is float32,
+            whose rounding errors would dominate a Jacobian by differences.
     """
+    if isinstance(given, np.ma.MaskedArray):
+        raise DimensionError(
+            f"{what} a masked array, whose mask would be lost; expected float64 numbers, {expected}"
+        )
     try:
         out = np.asarray(given)
     except ValueError:  # parts of several shapes

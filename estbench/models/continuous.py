@@ -13,6 +13,7 @@ from estbench.models.function import Function, FunctionModel
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Float
 from estbench.spaces import rotation
+from estbench.spaces.covariance import check_covariance
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -169,8 +170,8 @@ class ContinuousFunctionModel:
         angles, state_angles: components of y, and of x, that are angles; see `FunctionModel`.
 
     Raises:
-        CovarianceError: R is not symmetric positive definite; for a function of t, at t = 0 or in a
-            later call.
+        CovarianceError: R is not symmetric positive definite, or Q_s not semidefinite; for a
+            function of t, at t = 0 or in a later call.
         DimensionError: G does not fit Q_s. In a later call: a function returns another shape,
             values that are not real numbers, or float32.
         ModelError: in a later call: a function raises.
@@ -202,6 +203,7 @@ class ContinuousFunctionModel:
                 f"Q_s has shape {density.shape}; expected a square matrix, 0.1 * np.eye(1) for one "
                 "number"
             )
+        check_covariance("Q_s", density, when=" at t = 0" if callable(self.Q_s) else "")
         if self.G is not None:
             G = matrix_at("G", self.G, 0.0)
             if G.shape[:-1] != density.shape[:-1] or self.n_controls not in (0, G.shape[-1]):
@@ -250,7 +252,13 @@ class ContinuousFunctionModel:
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float = 0.0
     ) -> Float[Array, "... n n"]:
         """Q_s."""
-        return matrix_at("Q_s", self.Q_s, t)
+        density = matrix_at("Q_s", self.Q_s, t)
+        if callable(self.Q_s):
+            n = self.space.n
+            if density.shape != (n, n):
+                raise DimensionError(f"Q_s returned shape {density.shape}; expected {(n, n)}")
+            check_covariance("Q_s", density, when=f" at t = {t:g}")
+        return density
 
     def transition(
         self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estbench.errors import CovarianceError, DimensionError, ModelError
+from estbench.errors import DimensionError, ModelError
 from estbench.models.calls import Matrix, call, matrix_at, numbers
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite
+from estbench.spaces.covariance import check_covariance
 from estbench.spaces.manifold import Manifold
 
 Function = Callable[..., Array]
@@ -238,10 +238,6 @@ def _covariance(name: str, matrix: Matrix, positive: str, *time: float) -> Array
             f"{name} has shape {value.shape}; expected a square matrix, 0.1 * np.eye(1) for one "
             "number"
         )
-    good = is_positive_definite if positive == "definite" else is_positive_semidefinite
-    if not good(value):
-        when = f" at t = {time[0]:g}" if callable(matrix) else ""
-        raise CovarianceError(
-            f"{name} is not symmetric positive {positive}{when}; raise its eigenvalues"
-        )
+    when = f" at t = {time[0]:g}" if callable(matrix) else ""
+    check_covariance(name, value, positive == "definite", when)
     return value

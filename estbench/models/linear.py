@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estbench.errors import CovarianceError, DimensionError
+from estbench.errors import DimensionError
+from estbench.models.calls import matrix_at
 from estbench.models.protocol import Channels
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import is_positive_definite
+from estbench.spaces.covariance import check_covariance
 from estbench.spaces.manifold import Manifold
 
 
@@ -27,8 +28,8 @@ class LinearModel:
         names, units: of the state's coordinates.
 
     Raises:
-        DimensionError: a matrix does not fit A or C.
-        CovarianceError: R is not symmetric positive definite.
+        DimensionError: a matrix does not fit A or C, or is none of finite real numbers.
+        CovarianceError: R is not symmetric positive definite, or Q not semidefinite.
     """
 
     A: Float[Array, "... n n"]
@@ -43,6 +44,9 @@ class LinearModel:
     _output: Manifold = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        for name in ("A", "C", "Q", "R", "B", "D"):
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _matrix(name, given))
         n, m = self.A.shape[-1], self.C.shape[-2]
         B = np.zeros((n, 0)) if self.B is None else self.B
         D = np.zeros((m, B.shape[-1])) if self.D is None else self.D
@@ -52,8 +56,8 @@ class LinearModel:
         ):  # fmt: skip
             if value.shape[-2:] != shape:
                 raise DimensionError(f"{name} has shape {value.shape}; expected {shape}")
-        if self.R.ndim == 2 and not is_positive_definite(self.R):
-            raise CovarianceError("R is not symmetric positive definite; raise its eigenvalues")
+        check_covariance("Q", self.Q)
+        check_covariance("R", self.R, definite=True)
         object.__setattr__(self, "B", B)
         object.__setattr__(self, "D", D)
         object.__setattr__(self, "space", Manifold.euclidean(n, self.names, self.units))
@@ -126,3 +130,15 @@ def _affine(M: Array, x: Array, N: Array | None, u: Array) -> Array:
     if N is not None and N.shape[-1]:
         out = out + u[:, None] @ N.mT
     return out if x.ndim == 3 else out[:, 0]
+
+
+def _matrix(name: str, given: Array) -> Array:
+    """One matrix, or one per run, of real numbers; finite unless it is a covariance."""
+    value = matrix_at(name, given)
+    if value.ndim not in (2, 3):
+        raise DimensionError(
+            f"{name} has shape {value.shape}; expected a matrix, or one for each run (run, ., .)"
+        )
+    if name not in ("Q", "R") and not np.isfinite(value).all():
+        raise DimensionError(f"{name} has an entry that is not finite; give real numbers")
+    return value

@@ -8,6 +8,7 @@ import numpy as np
 
 from estbench import plugins as users
 from estbench.errors import DimensionError, ScenarioError, user_error_location
+from estbench.models.probe import probe_function, spread
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand, StateFunction
 from estbench.scenario.schema import ChannelSection
@@ -63,6 +64,7 @@ def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjM
 
     Raises:
         ScenarioError: the function raises, or returns another shape for another batch shape.
+        ModelError: it draws random numbers, mixes the runs, or changes its argument.
     """
     where = f"channels.{name}.function"
     called = cast(StateFunction, users.function(target, where))
@@ -82,6 +84,9 @@ def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjM
     except DimensionError as error:
         raise ScenarioError(f"channels.{name}.{error}") from None
     measurand = Measurand(space, function=called, name=where)
+    states = layout.state_space(model)
+    apart = spread(states, np.tile(x[:1], (3, 1)), np.tile(1e-4 * np.eye(states.n), (3, 1, 1)))
+    probe_function(where, lambda p: measurand.call(p, np.zeros((3, model.nu)), 0.0), apart)
     measurand.call(x, u, 0.0)
     measurand.call(np.tile(x, (3, 1, 1)), u[:1].repeat(3, axis=0), 0.0)
     return measurand
