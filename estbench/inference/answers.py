@@ -116,12 +116,10 @@ class Answers:
 
         A run whose belief is not finite has failed and needs no NIS.
         """
-        nis = innovation.nis
-        if self.own and nis.min(initial=0.0) >= 0:
+        if self.own:
             return None
-        wrong = ~(nis >= 0) | ~np.isfinite(nis)
-        if not self.own:
-            wrong |= self._unfit(innovation, mask)
+        nis = np.asarray(innovation.nis)
+        wrong = ~(nis >= 0) | ~np.isfinite(nis) | self._unfit(innovation, mask)
         if not wrong.any():
             return None
         alive = np.isfinite(np.asarray(self._estimator.mean(belief))).all(axis=-1)
