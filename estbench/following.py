@@ -108,7 +108,7 @@ def follow(
         raise EstimatorError(f"keep is {keep!r}; use 'beliefs', 'moments' or 'last'")
     model = getattr(estimator, "model", None)
     model = model if isinstance(model, Model) else None
-    mean, cov = checked_prior(mean, cov, model and model.space)
+    mean, cov = checked_prior(mean, cov, None if model is None else model.space)
     y = real("y is", y, "(step, run, ny)")
     ny, nu = (np.shape(y)[-1], np.shape(u)[-1] if u is not None else 0)
     if model is not None:

@@ -37,7 +37,9 @@ class ParticleFilter:
     several peaks or hard limits. The number of particles needed grows exponentially with the
     dimension that is measured, so above n = 6 or so prefer a Gaussian filter or the EnKF.
 
-    A particle whose transition is NaN is dead; a run fails when all its particles are dead.
+    A particle whose transition is NaN is dead; a run fails when all its particles are dead. It also
+    fails (`Fault.WEIGHTS`) when a resampling without regularization leaves no more than n distinct
+    particles: P is then singular, because the weights of the others have vanished.
 
     Attributes:
         model: the filter's model. Q is taken at the mean of the particles.
@@ -141,7 +143,11 @@ class ParticleFilter:
             points = self._jittered(old, points)
         new_points, logs = belief.points.copy(), belief.log_weights.copy()
         new_points[due], logs[due] = points, -np.log(self.size)
-        return replace(belief, points=new_points, log_weights=logs)
+        code = belief.fault.copy()
+        if not self.regularization:
+            distinct = 1 + np.count_nonzero(np.diff(chosen, axis=-1), axis=-1)
+            code[due] = np.where(distinct <= self.model.space.n, Fault.WEIGHTS, Fault.NONE)
+        return _failed(replace(belief, points=new_points, log_weights=logs, fault=code))
 
     def _jittered(self, old: Particles, points: Array) -> Array:
         """Resampled points shrunk towards the mean and spread by the kernel."""
@@ -223,10 +229,16 @@ def _settled(belief: Particles) -> Particles:
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = logs - np.log(np.exp(logs).sum(axis=-1, keepdims=True))
     code = np.where(belief.fault, belief.fault, np.where(lost, Fault.STATE, 0)).astype(np.uint8)
-    failed = code[:, None] > 0
+    return _failed(replace(belief, points=points, log_weights=logs, fault=code))
+
+
+def _failed(belief: Particles) -> Particles:
+    """The belief with NaN in the runs that have a fault."""
+    failed = belief.fault[:, None] > 0
+    if not failed.any():
+        return belief
     return replace(
         belief,
-        points=np.where(failed[..., None], np.nan, points),
-        log_weights=np.where(failed, np.nan, logs),
-        fault=code,
+        points=np.where(failed[..., None], np.nan, belief.points),
+        log_weights=np.where(failed, np.nan, belief.log_weights),
     )

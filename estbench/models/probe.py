@@ -131,7 +131,9 @@ def _uses_steps(model: Model, x: Array, u: Array, t: float, short: float, long: 
     moved = [model.transition(x, u, t, dt) for dt in (short, long)]
     noise = [model.process_noise(x, u, t, dt) for dt in (short, long)]
     still = np.array_equal(moved[0], x) and not np.any(noise[0])  # it has nothing to scale
-    alike = np.array_equal(moved[0], moved[1], equal_nan=True) and np.array_equal(*noise)
+    alike = np.array_equal(moved[0], moved[1], equal_nan=True) and np.array_equal(
+        noise[0], noise[1]
+    )
     if not still and alike:
         raise ModelError(
             f"times has steps of {short:g} s and of {long:g} s, but {type(model).__name__} ignores "

@@ -20,8 +20,8 @@ def effective(belief):
 def test_update_equals_the_textbook(n, seed):
     model = nonlinear_model(n)
     mean, cov, u = start(model, 3, seed)
-    filter = ParticleFilter(model, size=20, threshold=1.0)
-    never = ParticleFilter(model, size=20, threshold=0.0)
+    filter = ParticleFilter(model, size=80, threshold=1.0)
+    never = ParticleFilter(model, size=80, threshold=0.0)
     belief = filter.predict(filter.init(mean, cov), u, 0.0, 0.05)
     y = model.measurement(mean, u, 0.0) + 0.1
     weighted, innovation = never.update(belief, y, u, 0.0)
@@ -43,12 +43,12 @@ def test_update_equals_the_textbook(n, seed):
         assert np.isclose(innovation.nis[i], residual @ np.linalg.solve(S, residual))
         u0 = random.uniform(belief.keys[i : i + 1], belief.counter[i : i + 1], RESAMPLING, 1)[0, 0]
         j, chosen, total = 0, [], np.cumsum(w)
-        for k in range(20):
-            while (u0 + k) / 20 > total[j]:
+        for k in range(80):
+            while (u0 + k) / 80 > total[j]:
                 j += 1
             chosen.append(j)
         np.testing.assert_array_equal(resampled.points[i], belief.points[i][chosen])
-        np.testing.assert_allclose(resampled.log_weights[i], -np.log(20))
+        np.testing.assert_allclose(resampled.log_weights[i], -np.log(80))
 
 
 def test_systematic_resampling_is_unbiased_and_never_picks_a_dead_particle():
@@ -178,7 +178,7 @@ def test_dead_particles_are_dropped_and_a_run_without_any_fails_alone():
     assert np.isfinite(filter.cov(belief)[[0, 2]]).all()
     assert filter.mean(belief)[2, 0] < 1.5
     far, _ = filter.update(belief, np.array([[1e4], [0.0], [np.inf]]), u, 1.0)
-    np.testing.assert_array_equal(far.fault, [0, Fault.STATE, Fault.STATE])
+    np.testing.assert_array_equal(far.fault, [Fault.WEIGHTS, Fault.STATE, Fault.STATE])
 
 
 def test_a_two_peaked_belief_stays_two_peaked():
@@ -222,3 +222,20 @@ def test_quaternion_states_and_measurements():
 def test_wrong_settings_say_so(settings, words):
     with pytest.raises(EstimatorError, match=words):
         ParticleFilter(linear_model(0), **settings)
+
+
+@pytest.mark.parametrize("n", [1, 12])
+def test_weights_that_vanish_are_a_fault_of_their_own(n):
+    # A prior of variance 1, a reading of 1e-4: of 1000 particles in 12 dimensions few are near it.
+    model = FunctionModel(
+        lambda x, u, t, dt: x, lambda x, u, t: x, 1e-6 * np.eye(n), 1e-4 * np.eye(n)
+    )
+    mean, cov = np.zeros((4, n)), np.tile(np.eye(n), (4, 1, 1))
+    y, none = 0.1 * np.ones((4, n)), np.zeros((4, 0))
+    for settings, lost in (({}, n == 12), ({"regularization": 0.7}, False)):
+        filter = ParticleFilter(model, **settings)
+        belief = filter.predict(filter.init(mean, cov), none, 0.0, 0.01)
+        belief, _ = filter.update(belief, y, none, 0.01)
+        np.testing.assert_array_equal(belief.fault, np.full(4, Fault.WEIGHTS if lost else 0))
+        assert np.isnan(filter.mean(belief)).all() == lost
+    assert "raise `size`, set `regularization`" in Fault.WEIGHTS.text
