@@ -232,7 +232,7 @@ class Short(EKF):
     [
         ("Lacking", "estimator '{0}:Lacking' lacks the method(s) update, mean, cov; an estimator "
                     "has init, predict, update, mean, cov"),
-        ("Flat", "Flat: mean has shape (2, 2) and cov (2, 2); expected (2, 2) and (2, 2, 2)"),
+        ("Flat", "Flat: mean has shape (3, 2) and cov (3, 2); expected (3, 2) and (3, 2, 2)"),
         ("Single", "Single: update returned Gaussian; return a pair, the belief and an Innovation"),
         ("Short", "Short: smooth returned 10 beliefs; expected 11, one per time and one"),
         ("Missing", "estimator '{0}:Missing': module {0} has no 'Missing'"),
