@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from estbench.inference.offline import follow
 
 from estbench.estimators import registry
+from estbench.following import follow
 from estbench.models.function import FunctionModel
 
 DT, GRAVITY = 0.01, 9.81

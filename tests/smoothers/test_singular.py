@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from estbench.inference.offline import follow
 
 from estbench.estimators import registry
+from estbench.following import follow
 from estbench.models.linear import LinearModel
 from tests.textbook import exact_smoother
 
