@@ -84,7 +84,7 @@ def followed(
         )  # fmt: skip
     except (EstbenchError, MemoryError):
         raise
-    except Exception as error:  # a user's estimator may raise anything
+    except (Exception, SystemExit) as error:  # a user's estimator may raise anything
         raise EstimatorError(f"{label} raised {user_error_location(error)}") from error
 
 
