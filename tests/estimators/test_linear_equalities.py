@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estbench.errors import DimensionError
-from estbench.estimators import registry
+from estbench.estimators import beliefs, registry
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.update import mark_failed
 from estbench.models.linear import LinearModel
@@ -152,8 +152,8 @@ def test_predict_and_update_leave_their_arguments_alone(name):
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-14)
 
 
-def steps(filter, x, P, y, u):
-    belief = filter.init(x, P)
+def steps(filter, x, P, y, u, keys):
+    belief = beliefs.start(filter, x, P, keys)
     for k in range(2):
         belief = filter.predict(belief, u, 0.1 * k, 0.1)
         belief, _ = filter.update(belief, y, u, 0.1 * (k + 1))
@@ -170,15 +170,15 @@ def test_a_failed_run_is_marked_and_the_others_are_bit_identical(name, model):
     P[2] = np.nan
     P[3] *= -1e3
     y[4, 1] = np.nan
-    good = [0, 5, 6]
-    belief = steps(filter, x, P, y, u)
+    good, keys = [0, 5, 6], np.arange(7, dtype=np.uint64)
+    belief = steps(filter, x, P, y, u, keys)
     fault = belief.fault.tolist()
     assert [fault[i] for i in (*good, 1, 2, 4)] == [Fault.NONE] * 3 + [Fault.STATE] * 3
     # A filter that never factors P notices by its S.
     assert fault[3] in (Fault.COVARIANCE, Fault.INNOVATION)
     assert np.isnan(filter.mean(belief)[1:5]).all()
     assert np.isnan(filter.cov(belief)[1:5]).all()
-    alone = steps(filter, x[good], P[good], y[good], u[good])
+    alone = steps(filter, x[good], P[good], y[good], u[good], keys[good])
     np.testing.assert_array_equal(filter.mean(belief)[good], filter.mean(alone))
     np.testing.assert_array_equal(filter.cov(belief)[good], filter.cov(alone))
 
