@@ -109,8 +109,10 @@ def positive_mean_interval(values: Float[Array, " run"], level: float = 0.95) ->
     count, mean = len(values), float(values.mean()) if len(values) else 0.0
     if count < 2 or mean <= 0:
         return mean_interval(values, level)
-    low, high = positive_mean_bounds(mean, float(values.var(ddof=1)), count, level)
-    return Interval(mean, float(low), float(high))
+    scale = mean if mean < 1e-150 else 1.0  # the square of a rounding error may underflow
+    variance = float((values / scale).var(ddof=1))
+    low, high = positive_mean_bounds(mean / scale, variance, count, level)
+    return Interval(mean, float(low) * scale, float(high) * scale)
 
 
 def positive_mean_bounds(

@@ -210,3 +210,10 @@ def test_runs_needed_of_nothing():
     assert intervals.runs_needed(np.array([1.0, np.nan]), 0.1) is None
     assert intervals.runs_needed(np.array([1.0, 2.0]), 0.0) is None
     assert intervals.runs_needed(np.array([1.0, 1.0]), 0.1) == 2
+
+
+def test_the_interval_of_squares_that_underflow_is_that_of_larger_ones():
+    values = np.array([1.0, 2.0, 4.0])
+    large, tiny = positive_mean_interval(values), positive_mean_interval(1e-200 * values)
+    for side in ("value", "low", "high"):
+        assert getattr(tiny, side) == pytest.approx(1e-200 * getattr(large, side), rel=1e-9, abs=0)
