@@ -79,8 +79,9 @@ class DIPLF(IPLF):
 
     A measurement says something of the state before the transition too. Each iteration takes the
     posterior back by one step (x = x̂ ⊞ L ζ given y), linearizes the transition about it, predicts
-    by this linearization, and repeats the update: algorithm 1 of Kullberg, Skog & Hendeby,
-    arXiv:2302.13871 (2023).
+    by this linearization, and repeats the update. It is the dynamically iterated form of the
+    `iplf` of Kullberg, Skog & Hendeby, "Iterated filters for nonlinear transition models" (2023,
+    arXiv:2302.13871).
 
     Cost per step: the base filter's transitions `iterations` + 1 times, and its measurements up to
     `measurement_iterations` as often. Choose it where a reading is precise against what the

@@ -71,7 +71,7 @@ def condition(
     C = (I - K H)(I - K H)ᵀ + K ((1 + ω) Ω + R) Kᵀ. One linearization is the sigma-point filter.
 
     Source: García-Fernández, Svensson, Morelande & Särkkä, IEEE Trans. Signal Processing 63(20),
-    2015, algorithm 1.
+    2015.
 
     Args:
         model: the filter's model.

@@ -77,8 +77,7 @@ class SigmaPoints:
         """Slope A of the linear regression of values on ξ, and the covariance Ω of its residuals.
 
         A = Σ wᵢ rᵢ ξᵢᵀ, Ω = Σ wᵢ rᵢ rᵢᵀ - A Aᵀ: of all linear functions of ξ the one with the least
-        mean square error, and that error (Lefebvre, Bruyninckx & De Schutter 2002; Särkkä &
-        Svensson 2023, sec. 9.3).
+        mean square error, and that error (Lefebvre, Bruyninckx & De Schutter 2002).
 
         Args:
             residual: the values' residuals r.

@@ -55,7 +55,7 @@ def ipls(
     RTS smoother.
 
     Source: García-Fernández, Svensson & Särkkä, IEEE Trans. Automatic Control 62(4), 2017; Särkkä &
-    Svensson 2023, algorithm 14.20.
+    Svensson 2023, ch. 14.
 
     Args:
         model: the filter's model.

@@ -19,7 +19,7 @@ BASES = {"ukf": UKF, "ghkf": GHKF, "rotated_ukf": RotatedUKF}
 
 
 def textbook(model, mean, cov, y, u, rule, iterations):
-    """One run after Kullberg, Skog & Hendeby (2023), algorithm 1, in the state's coordinates."""
+    """One run after Kullberg, Skog & Hendeby (2023), in the state's coordinates."""
 
     def f(x):
         return model.transition(x[None], u[None], 0.0, 0.1)[0]

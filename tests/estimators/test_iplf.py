@@ -15,7 +15,7 @@ BASES = {"ukf": UKF, "ghkf": GHKF, "rotated_ukf": RotatedUKF}
 
 
 def textbook(model, mean, cov, y, u, unit, weights, omega, iterations):
-    """One run after García-Fernández et al. (2015), algorithm 1, in the state's coordinates."""
+    """One run after García-Fernández et al. (2015), in the state's coordinates."""
     x, P = mean, cov
     for _ in range(iterations):
         points = [x + np.linalg.cholesky(P) @ xi for xi in unit]

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from benchmarks import contact
 from benchmarks import estimators as benchmark
 from estbench.estimators import registry
 from estbench.montecarlo import run as experiment
@@ -44,3 +45,17 @@ def test_the_benchmark_prints_a_row_for_each(monkeypatch, capsys):
         table = printed.partition(f"## {robot}\n")[2].splitlines()
         assert [row.split("|")[1].strip() for row in table[2:4]] == ["`ekf`", "`rts`"]
         assert {row.count("|") for row in table[:4]} == {table[0].count("|")}
+
+
+def test_the_benchmark_of_contact_prints_a_row_for_each(monkeypatch, capsys):
+    """`walker2d` has no example of its own: it is sensed like the hopper."""
+    words = ["--runs", "2", "--duration", "0.02", "--robots", "walker2d", "--only", "rotated_ukf"]
+    monkeypatch.setattr(sys, "argv", ["contact", *words])
+    contact.main()
+    title, head, _, *rows = capsys.readouterr().out.strip().splitlines()
+    assert title == "## walker2d, seed 0, 2 runs of 0.02 s"
+    assert [row.split("|")[1].strip() for row in rows] == ["`ukf`", "`rotated_ukf`"]
+    assert {row.count("|") for row in rows} == {head.count("|")}
+    found = contact.scenario("walker2d")["channels"]
+    assert {"thigh_left_joint_encoder", "foot_joint_encoder", "rootx_encoder"} <= found.keys()
+    assert contact.scenario("humanoid")["channels"].keys() >= {"left_knee_encoder", "attitude"}

@@ -36,7 +36,7 @@ def regression(function, x, P, unit, weights):
 
 
 def textbook(model, means, covs, us, ys, rule, iterations):
-    """One run after Särkkä & Svensson (2023), algorithm 14.20."""
+    """One run after Särkkä & Svensson (2023), ch. 14."""
     m0, P0, count = means[0], covs[0], len(us)
     weights = rule.mean_weights, rule.cov_weights
     Q, R = model.process_noise(means[:1], None, 0.0, DT), model.measurement_noise(0.0)
