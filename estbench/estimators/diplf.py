@@ -7,7 +7,6 @@ import numpy as np
 
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import start
-from estbench.estimators.factors import psd_root
 from estbench.estimators.iplf import IPLF
 from estbench.estimators.posterior_linearization import Measured, Whitened, condition
 from estbench.estimators.protocol import Innovation
@@ -17,6 +16,7 @@ from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels
 from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
 from estbench.spaces.linalg import cholesky, identity, solve_lower_transposed, symmetrize
+from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +207,7 @@ class DIPLF(IPLF):
         points = rule.points if factor is None else rule.points @ factor.mT
         points = (zeta[:, None] + points) @ transition.root.mT
         images = self._moved(space.plus(transition.before.mean[:, None], points), transition)
-        mean = space.mean(images, rule.mean_weights)
-        residual = space.minus(images, mean[:, None])
+        mean, residual = rule.residuals(space, images)
         slope = rule.cross(residual, np.broadcast_to(rule.points, points.shape))
         error = residual - rule.points @ slope.mT
         weights = np.sqrt((1.0 + self.omega) * rule.cov_weights)

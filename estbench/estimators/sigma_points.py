@@ -62,7 +62,8 @@ class SigmaPoints:
     @cached_property
     def centre(self) -> int:
         """Index of the point at the centre; -1 where there is none."""
-        norm = np.abs(self.points).max(axis=-1)
+        size = np.abs(self.points).max(axis=-1)
+        norm = size.reshape(-1, size.shape[-1]).max(axis=0)  # over the runs, if each has its own
         return int(norm.argmin()) if norm.min() < 1e-12 else -1
 
     def cross(

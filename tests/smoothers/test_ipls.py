@@ -136,6 +136,18 @@ def test_a_failed_run_leaves_the_others_alone():
         np.testing.assert_allclose(ours.mean[good], theirs.mean, atol=1e-12)
 
 
+def test_a_coordinate_that_is_known_exactly_stays_so():
+    model = nonlinear_model(2)
+    frozen = type(model)(lambda x, u, t, dt: x, model.h, np.diag([0.1, 0.0]), model.R, n_controls=1)
+    mean, cov = np.zeros((2, 2)), np.tile(np.diag([0.1, 0.0]), (2, 1, 1))
+    us, ys = [np.zeros((2, 1))] * 3, [np.full((2, 2), 1.9)] * 3
+    filter, beliefs, times, seen = filtered(frozen, mean, cov, us, ys)
+    found = ipls(frozen, beliefs, us, times, seen, lambda k, purpose: filter.rule)
+    for belief in found:
+        assert not belief.fault.any()
+        np.testing.assert_allclose(belief.mean[:, 1], 0.0, atol=1e-12)
+
+
 def test_lengths_that_do_not_fit():
     model = nonlinear_model(2)
     with pytest.raises(DimensionError, match="do not fit"):
