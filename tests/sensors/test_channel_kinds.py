@@ -47,9 +47,9 @@ def test_sensors_taken_together_are_fused_as_they_are_apart(kind):
     assert [c.name for c in together.channels] == ["cart_encoder", "imu"]
 
     def joined(arrived):
-        encoder, accel, gyro = arrived
+        encoder, accel, gyro = divided(arrived)
         y = np.concatenate([accel.y, gyro.y], axis=1)
-        return [encoder, replace(accel, channel="imu", y=y)]
+        return [encoder, replace(accel, channels=("imu",), y=y)]
 
     joint = Trajectory(trajectory.x, trajectory.u, [joined(a) for a in trajectory.deliveries])
     one, other = run(apart, trajectory, kind), run(together, joint, kind)
@@ -88,7 +88,7 @@ def test_a_function_of_the_state_is_fused_as_the_sensor_it_imitates(kind):
     def imitated(arrived):
         (encoder,) = (d for d in divided(arrived) if d.channels == ("cart_encoder",))
         rest = [d for d in divided(arrived) if d is not encoder]
-        return [*rest, replace(encoder, channel="cart")]
+        return [*rest, replace(encoder, channels=("cart",))]
 
     other = Trajectory(trajectory.x, trajectory.u, [imitated(a) for a in trajectory.deliveries])
     one, two = run(sensor, trajectory, kind), run(function, other, kind)
