@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from estbench.bounds.expectation import Bound, Reading, posterior_bound
     from estbench.errors import (
         ControllerError,
         CovarianceError,
@@ -58,6 +59,7 @@ __all__ = [
     "RTS",
     "UKF",
     "URTS",
+    "Bound",
     "ContinuousFunctionModel",
     "ControllerError",
     "CovarianceError",
@@ -76,6 +78,7 @@ __all__ = [
     "ModelError",
     "MujocoModel",
     "ParticleFilter",
+    "Reading",
     "Results",
     "Scenario",
     "ScenarioError",
@@ -84,10 +87,12 @@ __all__ = [
     "follow",
     "load",
     "open_results",
+    "posterior_bound",
     "run",
 ]
 
 _MODULES = {
+    "bounds.expectation": ("Bound", "Reading", "posterior_bound"),
     "errors": (
         "ControllerError", "CovarianceError", "DimensionError", "EstbenchError", "EstimatorError",
         "MissingExtraError", "ModelError", "ScenarioError", "StoreError",

@@ -1,5 +1,6 @@
 """The examples run and show what they say."""
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -118,3 +119,16 @@ def test_ones_own_filter_takes_settings_and_missing_readings(monkeypatch):
                    "channels.encoder.dropout=0.3", "channels.gyro.rate=50"],
     )  # fmt: skip
     assert results["mine"].diverged == 0
+
+
+def test_a_falling_body_is_followed_nearly_as_well_as_it_could_be(monkeypatch, capsys):
+    """The bound holds for each filter, within 4 standard errors of an RMSE of 300 runs."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    how_good = importlib.import_module("how_good")
+    found = how_good.main()
+    assert "height, m: bound     EKF     UKF" in capsys.readouterr().out
+    assert found["bound"].shape == (how_good.STEPS + 1, 3)
+    for name in ("ekf", "ukf"):
+        ratio = found[name] / found["bound"]
+        assert ratio.min() > 1 - 4 / np.sqrt(2 * how_good.RUNS)
+        assert ratio[-1, 0] < 1.3

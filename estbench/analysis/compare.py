@@ -16,7 +16,7 @@ from estbench.errors import AnalysisError, StoreError
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 
-OWN = {"name", "description", "estimators", "filter", "consistency", "task"}
+OWN = {"name", "description", "estimators", "filter", "consistency", "task", "bound"}
 """Sections of a scenario that change neither the truth nor the readings."""
 
 

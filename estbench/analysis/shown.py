@@ -35,7 +35,7 @@ def _title(contest: Contest) -> str:
 
 
 def _verdicts(contest: Contest, comparison: Comparison) -> Table:
-    found = statistics.shown("compare")
+    found = statistics.shown("compare", summaries=[f.summary for f in contest.findings])
     return tabulate(
         "Consistency",
         ("<estimator", "<verdict", *(s.heading_in("compare") for s in found)),
@@ -65,7 +65,9 @@ def _by_coordinate(contest: Contest) -> list[Table]:
             ],
             s.note,
         )
-        for s in statistics.shown("compare", "coordinate")
+        for s in statistics.shown(
+            "compare", "coordinate", [f.summary for f in contest.findings]
+        )
     ]  # fmt: skip
 
 

@@ -64,13 +64,20 @@ def run(
         int | None,
         typer.Option(min=1, help="threads or processes; default: all CPUs, as memory allows"),
     ] = None,
+    bound: Annotated[
+        bool,
+        typer.Option(
+            " /--no-bound", help="leave out the bound on the errors, and with it the efficiency"
+        ),
+    ] = True,
     as_json: Json = False,
 ) -> None:
     """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
     from estbench.montecarlo import run as experiment
     from estbench.store import zarr as store
 
-    resolved = experiment.resolve(scenario, estimator, runs, seed, duration, overrides or ())
+    changes = [*(overrides or ()), *(() if bound else ("bound=false",))]
+    resolved = experiment.resolve(scenario, estimator, runs, seed, duration, changes)
     continued = resume or shard is not None  # the folder exists: only the user can name it
     folder = out if out is not None or continued else store.default_folder(resolved.name)
     with progress(resolved.simulation.runs) as bar:

@@ -73,6 +73,7 @@ class Statistic:
         places: the tables that show it, and how.
         headings: of its column in single tables, in place of `heading`.
         narrow: the heading where columns are scarce.
+        optional: whether tables leave it out where no estimator has it.
         variables: what it needs in the store, by name; merged as `Field.dims` says.
     """
 
@@ -93,6 +94,7 @@ class Statistic:
     places: Mapping[Place, Detail] = field(default_factory=lambda: EVERYWHERE)
     headings: Mapping[Place, str] = field(default_factory=dict)
     narrow: str = ""
+    optional: bool = False
     variables: Mapping[str, Recorded] = field(default_factory=dict)
 
     @property

@@ -87,6 +87,12 @@ class BatchTraces:
         """Variance that the filter reports, (unit)²."""
         return self.traces.std**2
 
+    @property
+    def bound(self) -> Float[Array, "time run n"]:
+        """Numbers whose mean over the runs is the bound on the mean square error, (unit)²."""
+        known = self.traces.bound
+        return np.full_like(self.traces.error, np.nan) if known is None else known
+
     @cached_property
     def inside(self) -> Float[Array, "run n 3"]:
         """Share of the settled steps with an error of at most 1, 2, 3σ."""

@@ -115,6 +115,10 @@ SUMMARY: dict[str, Recorded] = {
         (*STEP, "coordinate"), "f8", "sum over runs of the variance, (unit)²",
         lambda b: b.total(b.variance),
     ),
+    "bound_sum": Recorded(
+        (*STEP, "coordinate"), "f8", "sum over runs of the bound on the squared error, (unit)²",
+        lambda b: b.total(b.bound),
+    ),
 }  # fmt: skip
 SIZES = {"lag": LAGS + 1, "block": blocks.COUNT, "size": 2}
 """Dimensions that are the same for all scenarios."""

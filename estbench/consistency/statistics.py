@@ -6,11 +6,13 @@ with the variable that it stores if it needs one, and the attribute of `Summary`
 test then asks for its row in docs/statistics.md.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from estbench.consistency import efficiency
 from estbench.consistency.declaration import EVERYWHERE, Place, Statistic
 from estbench.consistency.fields import RUN, Recorded
 from estbench.consistency.intervals import (
@@ -167,6 +169,34 @@ SIGMA = Statistic(
         )
     },
 )  # fmt: skip
+BOUND = {
+    "bound": Recorded(
+        COORDINATE, "f8",
+        "time average of what the run adds to the bound on the mean square error, (unit)²",
+        lambda b: b.average(b.bound),
+    )
+}  # fmt: skip
+EFFICIENCY = Statistic(
+    name="efficiency",
+    heading="efficiency",
+    key="efficiency",
+    meaning="n over the sum of mean square error / bound: 1 is the best possible",
+    of=lambda s: efficiency.together(s.converged("bound"), s.converged("mse"), s.level),
+    optional=True,
+    variables=BOUND,
+)
+EFFICIENCY_EACH = Statistic(
+    name="efficiency_each",
+    heading="efficiency",
+    key="rmse.efficiency",
+    meaning="bound on the mean square error over the mean square error",
+    of=lambda s: efficiency.by_coordinate(s.converged("bound"), s.converged("mse"), s.level),
+    per="coordinate",
+    note="efficiency is the bound on the mean square error over it",
+    places={"run": "brief", "compare": "full", "report": "brief"},
+    optional=True,
+    variables=BOUND,
+)
 MEAN_ERROR = Statistic(
     name="mean_error",
     heading="mean error",
@@ -220,8 +250,8 @@ COST = Statistic(
     narrow="µs/step",
 )
 STATISTICS: tuple[Statistic, ...] = (
-    ANEES, ANEES_MEDIAN, ANIS, LAG_ONE, LOG_LIKELIHOOD, DIVERGED, RMSE, RMSE_MEDIAN, SIGMA,
-    MEAN_ERROR, SKEW, COST,
+    ANEES, ANEES_MEDIAN, ANIS, LAG_ONE, LOG_LIKELIHOOD, DIVERGED, EFFICIENCY, RMSE, RMSE_MEDIAN,
+    SIGMA, EFFICIENCY_EACH, MEAN_ERROR, SKEW, COST,
 )  # fmt: skip
 """In the order in which tables, JSON and CSV show them."""
 
@@ -264,9 +294,11 @@ class Summary:
     lag_one: Interval
     log_likelihood: Interval
     diverged_interval: Interval
+    efficiency: Interval
     rmse: tuple[Interval, ...]
     rmse_median: Float[Array, " n"]
     std: Float[Array, " n"]
+    efficiency_each: tuple[Interval, ...]
     mean_error: tuple[Interval, ...]
     skew: tuple[Interval, ...]
     cost: float
@@ -286,9 +318,29 @@ def of(per: Literal["run", "coordinate"]) -> list[Statistic]:
     return [s for s in STATISTICS if s.per == per]
 
 
-def shown(place: Place, per: Literal["run", "coordinate"] = "run") -> list[Statistic]:
-    """The statistics of one table, in order."""
-    return [s for s in of(per) if place in s.places]
+def shown(
+    place: Place,
+    per: Literal["run", "coordinate"] = "run",
+    summaries: Sequence[Summary] | None = None,
+) -> list[Statistic]:
+    """The statistics of one table, in order.
+
+    Args:
+        place: the table.
+        per: those with one value, or those with one for each coordinate.
+        summaries: of its estimators; without an optional statistic that none of them has.
+    """
+    found = [s for s in of(per) if place in s.places]
+    if summaries is None:
+        return found
+    return [s for s in found if not s.optional or any(_has(summary, s) for summary in summaries)]
+
+
+def _has(summary: Summary, statistic: Statistic) -> bool:
+    """Whether any value of a statistic is a number."""
+    value = getattr(summary, statistic.name)
+    each = value if statistic.per == "coordinate" else (value,)
+    return any(np.isfinite(x.value if isinstance(x, Interval) else x) for x in each)
 
 
 def ideals(place: Place) -> str:

@@ -40,6 +40,8 @@ class Traces:
         cov: P when asked for, else None.
         innovation: ν when asked for, NaN where nothing was fused.
         innovation_cov: S of the components fused together, likewise.
+        bound: numbers whose mean over the runs is the bound on the mean square error, (unit)²;
+            None where it was not computed.
     """
 
     truth: Float[Array, "time run nx"]
@@ -62,6 +64,7 @@ class Traces:
     cov: Float[Array, "time run n n"] | None = None
     innovation: Float[Array, "time run m"] | None = None
     innovation_cov: Float[Array, "time run m m"] | None = None
+    bound: Float[Array, "time run n"] | None = None
 
     @property
     def lag_one(self) -> Float[Array, " run"]:

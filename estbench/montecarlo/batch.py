@@ -1,16 +1,17 @@
 """One batch of runs: its size, the truth, every estimator on it, and what is kept of them."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estbench.bounds import scenario as bounds
 from estbench.consistency import records
 from estbench.experiment import setup
 from estbench.experiment.recording import blamed, driven, followed, recorded
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
-from estbench.simulation.sources import Recorded
+from estbench.simulation.sources import Noting, Recorded
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""
@@ -66,7 +67,7 @@ def run_batch(
     out = {}
     truth: records.Record = {}
     full = keep == "full"
-    for label, traces in traced(prepared, runs, full, full, stop):
+    for label, traces in traced(prepared, runs, full, full, stop, bounds.wanted(prepared)):
         if traces is None:
             return None
         section = prepared.scenario.consistency
@@ -86,10 +87,12 @@ def traced(
     keep_cov: bool = False,
     keep_innovations: bool = False,
     stop: Callable[[], bool] = lambda: False,
+    bounded: bool = False,
 ) -> Iterator[tuple[str, Traces | None]]:
     """The traces of each estimator on some runs, one after the other; None ends it: stopped.
 
-    An estimator that is the scenario's reference has followed the runs already.
+    An estimator that is the scenario's reference has followed the runs already. With `bounded` the
+    traces have the bound of these runs, the same for all estimators that share a truth.
     """
     keep = keep_cov, keep_innovations, stop
     own_truth = prepared.scenario.control.observe == "estimate"
@@ -97,15 +100,21 @@ def traced(
     if found is None and not own_truth:
         yield next(iter(prepared.scenario.estimators)), None
         return
+    bound = None
+    if bounded and found is not None:
+        bound = bounds.bound_of_runs(prepared, runs, found[0], stop)
     for label in prepared.scenario.estimators:
         if found is None:
-            traces = followed(prepared, label, runs, driven(prepared, runs), *keep)
+            noting = Noting(driven(prepared, runs))
+            traces = followed(prepared, label, runs, noting, *keep)
+            if bounded and traces is not None:
+                bound = bounds.bound_of_runs(prepared, runs, noting.trajectory(), stop)
         elif found[1] is not None and prepared.is_reference(label):
             traces = found[1]
         else:
             source = Recorded(prepared.instants, found[0])
             traces = followed(prepared, label, runs, source, *keep)
             traces = traces and blamed(traces, found[0])
-        yield label, traces
+        yield label, traces and replace(traces, bound=bound)
         if traces is None:
             return

@@ -150,7 +150,7 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
             tuple(cell(s, value_of(summary, s), s.places["run"]) for summary in summaries),
             narrow=s.narrow,
         )
-        for s in statistics.shown("run")
+        for s in statistics.shown("run", summaries=summaries)
     ]
     table = Table(
         (Column("estimator", tuple(s.label for s in summaries), "left"),),
@@ -169,7 +169,7 @@ def _accuracy(
     """Statistics per coordinate: RMSE alone where there are many estimators."""
     detailed = len(summaries) <= 3
     # First the statistics over the same runs as RMSE, then those over all runs.
-    found = sorted(statistics.shown("run", "coordinate"), key=lambda s: s.all_runs)
+    found = sorted(statistics.shown("run", "coordinate", summaries), key=lambda s: s.all_runs)
     groups = []
     for summary in summaries:
         group = []

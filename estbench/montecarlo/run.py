@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
+from estbench.bounds import scenario as bounds
 from estbench.consistency.fields import Record
 from estbench.consistency.records import merge
 from estbench.consistency.summary import summarize
@@ -247,6 +248,7 @@ def _collect(
         records=merged,
         notices=(
             *prepared.notices,
+            *bounds.notices(prepared),
             *notices,
             *dispatch.missing(batches, failed),
         ),

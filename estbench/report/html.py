@@ -99,6 +99,9 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
     sources = list({id(e.source): e.source for e in entries}.values())
     robots = [pictures.picture(source, say) for source in sources]
     steps = max(len(source.times) for source in sources)
+    summaries = [entry.summary for entry in entries]
+    shown = statistics.shown("report", summaries=summaries)
+    each = statistics.shown("report", "coordinate", summaries)
     return template.render(
         title=", ".join(dict.fromkeys(s.scenario.name for s in sources))
         + (f": {', '.join(e.key for e in entries)}" if len(entries) <= NAMED
@@ -110,10 +113,10 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
                   or figures[s[0]]],
         entries=[tables.entry(material, i) for i in range(len(entries))],
         rmse=tables.rmse(entries),
-        headings=[s.heading_in("report") for s in statistics.shown("report")],
-        more_headings=[s.heading for s in statistics.shown("report", "coordinate")[1:]],
+        headings=[s.heading_in("report") for s in shown],
+        more_headings=[s.heading for s in each[1:]],
         ideals=statistics.ideals("report"),
-        rmse_notes=[s.note for s in statistics.shown("report", "coordinate") if s.note],
+        rmse_notes=[s.note for s in each if s.note],
         lag_one=LAG_ONE.heading,
         baselines=tables.baselines(entries) if len(entries) > 1 else [],
         names=first.names,

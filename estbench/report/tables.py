@@ -43,6 +43,7 @@ def entry(material: Material, i: int) -> dict[str, Any]:
     """Row of the table of verdicts."""
     entry = material.entries[i]
     summary, nees, nis = entry.summary, material.nees[i], material.nis[i]
+    shown = statistics.shown("report", summaries=[e.summary for e in material.entries])
     return {
         "key": entry.key,
         "colour": palette.colour(i),
@@ -50,7 +51,7 @@ def entry(material: Material, i: int) -> dict[str, Any]:
         "verdict": str(summary.verdict),
         "sentence": facts.verdict(entry, nees),
         "cells": [
-            *(_statistic(s, value_of(summary, s)) for s in statistics.shown("report")),
+            *(_statistic(s, value_of(summary, s)) for s in shown),
             _share(nees.outside),
             _share(nis.outside),
         ],
@@ -65,7 +66,7 @@ def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
         cells = [
             _statistic(s, value_of(entry.summary, s)[i])
             for entry in entries
-            for s in statistics.shown("report", "coordinate")
+            for s in statistics.shown("report", "coordinate", [e.summary for e in entries])
         ]
         rows.append({"name": name, "unit": unit, "cells": cells})
     return rows

@@ -65,6 +65,7 @@ class MujocoModel:
         differences: scheme and step of the Jacobians.
         nthread: number of threads of the backend.
         u0: nominal control, about which a `KF` linearizes; default zeros.
+        engine: the backend; default one of the model.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class MujocoModel:
         differences: Differences | None = None,
         nthread: int = 1,
         u0: Float[Array, " nu"] | None = None,
+        engine: backend.Backend | None = None,
     ):
         self.mjmodel = model
         self.u0 = np.zeros(model.nu) if u0 is None else u0
@@ -83,7 +85,7 @@ class MujocoModel:
         self.differences = differences or Differences()
         self._space = layout.state_space(model)
         self._rates = Manifold.euclidean(self._space.n)
-        self._backend = backend.create(model, nthread)
+        self._backend = engine or backend.create(model, nthread)
         self._range = ControlRange.of(model)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
         self._steps: dict[float, int] = {}
@@ -123,6 +125,19 @@ class MujocoModel:
         return self.disturbance.covariance(
             self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
         )
+
+    def noise_response(
+        self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
+    ) -> Float[Array, "... n rank"]:
+        """Γ with Q = Γ Γᵀ: the response over dt to a unit of each white noise."""
+        noise = self.disturbance
+        if noise.kind == "additive":
+            return noise.root(t) * np.sqrt(dt)
+        if not noise.rank:
+            return np.zeros((self._space.n, 0))
+        return noise.response(
+            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+        ).mT
 
     def flow(
         self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float

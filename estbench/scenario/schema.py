@@ -311,6 +311,11 @@ class Scenario(Section):
         description="label = {type = name, setting = value, ...}; type defaults to the label",
     )
     consistency: ConsistencySection = ConsistencySection()
+    bound: bool | Literal["known"] = Field(
+        True,
+        description="whether the posterior Cramér-Rao bound is computed; 'known': for estimators "
+        "that know the parameters drawn in each run",
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -56,11 +56,14 @@ def test_a_seed_gives_the_same_bits_at_any_thread_count(scenario, overrides):
 
 @pytest.mark.parametrize("overrides", [[], ["control.observe=truth"], ["control.observe=estimate"]])
 def test_batches_do_not_change_the_runs(overrides):
-    per_run = [f for f in COMPARED if records.SUMMARY[f].dims[0] == "run"]
+    """The bound is an expectation over a batch: here, where F varies little, nearly the same."""
+    per_run = [f for f in COMPARED if records.SUMMARY[f].dims[0] == "run" and f != "bound"]
     whole = run(estimators=["ekf", "ukf"], batch_size=24, overrides=overrides)
     for size in (1, 7):
         some = run(estimators=["ekf", "ukf"], batch_size=size, overrides=overrides)
         assert_same(some.records, whole.records, 1e-9, per_run)
+        for label, record in some.records.items():
+            np.testing.assert_allclose(record["bound"], whole.records[label]["bound"], rtol=1e-3)
         assert some.runs == whole.runs == tuple(range(24))
 
 

@@ -1,0 +1,148 @@
+"""The bound of a scenario: what it knows of the truth, and which unknowns it has.
+
+It knows the true robot, the true disturbance and R, and the controls, as given from outside. It
+does not know x₀, the disturbance, the noise and the errors of the sensors, and the parameters that
+are drawn in each run, unless `bound = "known"`.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from estbench.bounds.expectation import Reading, follow
+from estbench.bounds.linearization import Linearization, Linearized
+from estbench.bounds.sensor_errors import WithSensorErrors, errors
+from estbench.experiment.setup import Setup
+from estbench.models.differences import Differences
+from estbench.randomness import streams
+from estbench.robots import backend, parameters
+from estbench.robots.model import MujocoModel, SensorChannel
+from estbench.robots.varied import Parameter, VariedBackend
+from estbench.sensors.sampling import Delivery
+from estbench.shapes import Array, Float
+from estbench.simulation.sources import Trajectory
+from estbench.spaces.linalg import is_positive_definite
+from estbench.spaces.semidefinite import psd_root
+
+CLOSED = ("lqr", "user")
+"""Controllers whose control depends on the state."""
+CHANGE = 1e-4
+"""Of a drawn parameter, in standard deviations, for the derivative with respect to it."""
+
+
+def obstacle(setup: Setup) -> str | None:
+    """Why the scenario has no bound, or None if it has one."""
+    exact = [c.name for c in setup.channels if not is_positive_definite(c.cov)]
+    if exact:
+        return f"{', '.join(exact)} without white noise: a reading has no finite information"
+    if setup.seen:
+        return "sensors see the disturbance, which tells them more than of the state"
+    return None
+
+
+def wanted(setup: Setup) -> bool:
+    """Whether the bound is to be computed, and exists."""
+    return bool(setup.scenario.bound) and obstacle(setup) is None
+
+
+def notices(setup: Setup) -> list[str]:
+    """Why there is no bound although it is wanted, and what it takes for granted."""
+    if not setup.scenario.bound:
+        return []
+    if why := obstacle(setup):
+        return [f"no bound and no efficiency: {why}"]
+    control = setup.scenario.control
+    if control.observe == "truth" and control.kind in CLOSED:
+        return [
+            "the controller sees the true state; the bound counts the control as given from "
+            "outside, so that it knows nothing of the state from it"
+        ]
+    return []
+
+
+def bound_of_runs(
+    setup: Setup,
+    runs: Sequence[int],
+    happened: Trajectory,
+    stop: Callable[[], bool] = lambda: False,
+) -> Float[Array, "time run n"] | None:
+    """Numbers whose mean over the runs is the bound on each coordinate's mean square error.
+
+    Args:
+        setup: the experiment.
+        runs: their numbers.
+        happened: in these runs.
+        stop: asked at every instant; True ends it.
+
+    Returns:
+        (unit)²; NaN for a run with states that are not finite, and for all from the time on at
+        which no run has finite Jacobians. None when stopped. See `recursion.Variations.values`.
+    """
+    x = happened.x
+    system, factor = _system(setup, runs)
+    n = setup.space.n
+    jacobian = np.broadcast_to(np.eye(len(factor)), (len(runs), *factor.shape)).copy()
+    jacobian[:, :n, :n] = setup.space.reset_jacobian(setup.space.minus(x[0], setup.mean))
+    read = readings(setup, happened.deliveries)
+    out = np.full((len(setup.times), len(runs), n), np.nan)
+    for k, variations in enumerate(
+        follow((factor, jacobian), system, setup.times, x, happened.u, read)
+    ):
+        if stop():
+            return None
+        out[k] = variations.values()[:, :n]
+    return out
+
+
+def readings(setup: Setup, deliveries: Sequence[Sequence[Delivery]]) -> list[Reading]:
+    """What arrived, each with the index of the time at which it was taken."""
+    place = {instant.tick: k for k, instant in enumerate(setup.instants, 1)}
+    return [
+        Reading(place[d.taken], k, d.channels, d.mask)
+        for k, arrived in enumerate(deliveries, 1)
+        for d in arrived
+    ]
+
+
+def _system(setup: Setup, runs: Sequence[int]) -> tuple[Linearized, Float[Array, "k k"]]:
+    """The true robots of some runs, and a square root of the covariance of what is unknown."""
+    blocks = [psd_root(setup.cov)]
+    draws, known = setup.scenario.truth.draw, setup.scenario.bound == "known"
+    normals = {
+        key: streams.normals(setup.scenario.simulation.seed, runs, f"parameter:{key}", 1, 1)[0]
+        for key in draws
+    }
+    varied = []
+    for key in () if known else draws:
+        varied.append(_model(setup, {**normals, key: normals[key] + CHANGE}))
+        blocks.append(np.eye(1))
+    system: Linearized = Linearization(_model(setup, normals), varied, CHANGE)
+    if any(c.imperfections is not None for c in setup.channels):
+        system = WithSensorErrors(
+            system, setup.channels, [e for c in setup.channels for e in errors(c)]
+        )
+        blocks.append(np.diag(system.std))
+    return system, np.asarray(block_diag(*blocks), np.float64)
+
+
+def _model(setup: Setup, normals: dict[str, Float[Array, "run 1"]]) -> MujocoModel:
+    """The true robots as a model, with the parameters that these standard normals give."""
+    plant, section = setup.plant, setup.scenario.filter
+    channels = [
+        SensorChannel(c.name, -1, c.cov, None if c.schedule is None else c.schedule.at, c.measurand)
+        for c in setup.channels
+    ]
+    own = []
+    for key, z in normals.items():
+        draw = setup.scenario.truth.draw[key]
+        field, index = parameters.parameter(plant.model, key, "truth.draw")
+        nominal = np.asarray(getattr(plant.model, field)[index])
+        own.append(
+            Parameter(field, index, parameters.drawn(nominal, draw.relative_std, draw.std, z))
+        )
+    engine = VariedBackend(backend.create(plant.model), own) if own else None
+    differences = Differences(section.differences, section.step)
+    return MujocoModel(
+        plant.model, channels, setup.disturbance, differences, u0=plant.u0, engine=engine
+    )
