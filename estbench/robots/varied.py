@@ -68,10 +68,11 @@ class VariedBackend:
         t: float | Array,
         stage: int,
         columns: Int[NDArray[np.intp], " m"],
+        force: Float[Array, "... nv"] | None = None,
     ) -> Float[Array, "*lead m"]:
         """See `Backend.read`."""
         self._prepare(x)
-        return self._inner.read(x, u, t, stage, columns)
+        return self._inner.read(x, u, t, stage, columns, force)
 
     def flow(
         self,
