@@ -1,8 +1,8 @@
-"""Calibration of the verdict: many whole experiments on models where the filter is exact.
+"""Calibration of the interval of NEES/n, by itself, on models where the filter is exact.
 
-On a linear-Gaussian model the Kalman filter's covariance is exact. Each "overconfident" or
-"conservative" is then a false alarm, and a filter with a wrong Q is wrong by a known factor. The
-truth is simulated with numpy alone, not with the code under test.
+On a linear-Gaussian model the Kalman filter's covariance is exact. Each interval without 1 is then
+a false alarm, and a filter with a wrong Q is wrong by a known factor. The truth is simulated with
+numpy alone, not with the code under test. `trials` does the same for the whole verdict.
 """
 
 from collections.abc import Callable
@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
+from estbench.analysis.trials import STEP
 from estbench.consistency.intervals import Interval, positive_mean_interval, wilson
-from estbench.consistency.nees import Verdict, judge
 from estbench.estimators.kf import KF
 from estbench.estimators.protocol import Estimator
 from estbench.models.linear import LinearModel
@@ -24,19 +24,25 @@ ROWS = 20_000
 """Runs simulated at once."""
 
 
-def oscillator(dt: float = 0.1) -> LinearModel:
+def oscillator(dt: float = STEP) -> LinearModel:
     """A damped oscillator of 1 Hz, driven by a white force; its position is measured."""
     w, zeta = 2 * np.pi, 0.1
     A = np.asarray(expm(np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]]) * dt), np.float64)
     return LinearModel(A, np.array([[1.0, 0.0]]), np.diag([1e-4, 0.1]), np.array([[0.01]]))
 
 
-def vehicle(dt: float = 0.1) -> LinearModel:
+def vehicle(dt: float = STEP) -> LinearModel:
     """Nearly constant velocity in the plane, positions measured (Bar-Shalom et al. 2001, 6.3.2)."""
     block: Array = np.array([[1.0, dt], [0.0, 1.0]])
     noise: Array = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     A, C, Q = (_twice(a) for a in (block, np.array([[1.0, 0.0]]), noise))
     return LinearModel(A, C, Q, 0.25 * np.eye(2))
+
+
+def observed(dt: float = STEP) -> LinearModel:
+    """The oscillator with a sensor on each coordinate, so that an infinite Q makes P their R."""
+    plain = oscillator(dt)
+    return LinearModel(plain.A, np.eye(2), plain.Q, np.diag([0.01, 0.1]))
 
 
 def _twice(a: Array) -> Array:
@@ -83,14 +89,13 @@ def averages(
 
 @dataclass(frozen=True)
 class Calibration:
-    """How often experiments of one size give each verdict.
+    """How often the interval of NEES/n of experiments of one size lies beside 1.
 
     Attributes:
         runs: per experiment.
         experiments: count of experiments.
-        refused: share with the verdict overconfident or conservative, with Wilson's interval.
-        above, below: share of overconfident and of conservative.
-        undecided: share of undecided.
+        refused: share of the experiments with an interval beside 1, with Wilson's interval.
+        above, below: share of those above and below.
     """
 
     runs: int
@@ -98,36 +103,26 @@ class Calibration:
     refused: Interval
     above: float
     below: float
-    undecided: float
 
 
 def calibrate(
     values: Array,
     runs: int,
     level: float = 0.95,
-    tolerance: float = 0.0,
     interval: Callable[[Array, float], Interval] = positive_mean_interval,
 ) -> Calibration:
-    """Split runs into experiments, and judge each as `estbench run` does.
+    """Split runs into experiments, and take the interval of each as `estbench run` does.
 
     Args:
         values: NEES/n of many runs `(run,)`.
         runs: per experiment; a remainder is not used.
-        level: of the verdict's interval.
-        tolerance: of the verdict; 0 is the pure test.
+        level: of the interval.
         interval: of the mean, to compare another one.
     """
     count = len(values) // runs
-    verdicts = [
-        judge(interval(part, level), 0.0, tolerance)
-        for part in values[: count * runs].reshape(count, runs)
-    ]
-    above, below, undecided = (
-        verdicts.count(v) / count
-        for v in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE, Verdict.UNDECIDED)
-    )
-    refused = sum(v in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE) for v in verdicts)
-    return Calibration(runs, count, wilson(refused, count), above, below, undecided)
+    found = [interval(part, level) for part in values[: count * runs].reshape(count, runs)]
+    above, below = sum(i.low > 1 for i in found), sum(i.high < 1 for i in found)
+    return Calibration(runs, count, wilson(above + below, count), above / count, below / count)
 
 
 def sample(

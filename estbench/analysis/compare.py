@@ -32,6 +32,8 @@ class Contest:
         pairs: comparisons of the scores of all pairs.
         ranks: in order.
         nees: difference of NEES/n of each pair, over the runs in which neither diverged.
+        log_likelihood: likewise of the log-likelihood, over the runs in which both received as many
+            readings; NaN where there is none, or a store does not have it.
     """
 
     title: str
@@ -41,6 +43,7 @@ class Contest:
     pairs: tuple[Pair, ...]
     ranks: tuple[Rank, ...]
     nees: tuple[Interval, ...]
+    log_likelihood: tuple[Interval, ...]
     _rows: tuple[NDArray[np.intp], ...]
 
     def details(self) -> Iterator[tuple[tuple[Paired, ...], Paired]]:
@@ -122,13 +125,15 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
             "compare them one by one"
         )
     rows = tuple(np.flatnonzero(np.isin(f.stored.runs, runs)) for f in findings)
-    scores, anees = {}, {}
+    scores, anees, likely, received = {}, {}, {}, {}
     known: NDArray[np.bool_] = np.max([_always_known(f.record) for f in findings], axis=0)
     inexact = np.flatnonzero(~known | known.all())
     for f, where in zip(findings, rows):
         lost = f.record["diverged"][where].astype(bool)
         scores[f.key] = score(f.record["mse"][where][:, inexact], lost)
         anees[f.key] = np.where(lost, np.nan, f.record["anees"][where])
+        likely[f.key] = np.where(lost, np.nan, _optional(f, "log_likelihood")[where])
+        received[f.key] = _optional(f, "received")[where]
     pairs, ranks = compare(scores, level, margin)
     simulation = stores[0].scenario.simulation
     return Contest(
@@ -140,6 +145,10 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         pairs=tuple(pairs),
         ranks=tuple(ranks),
         nees=tuple(mean_interval(anees[p.a] - anees[p.b], level) for p in pairs),
+        log_likelihood=tuple(
+            mean_interval((likely[p.a] - likely[p.b])[received[p.a] == received[p.b]], level)
+            for p in pairs
+        ),
         _rows=rows,
     )
 
@@ -148,6 +157,12 @@ def _always_known(record: Record) -> NDArray[np.bool_]:
     """Coordinates `(n,)` that the estimator knows exactly at every step; none of older stores."""
     n = record["mse"].shape[1]
     return (record["known"] == 1).all(axis=0) if "known" in record else np.zeros(n, bool)
+
+
+def _optional(f: Findings, name: str) -> Array:
+    """A variable of each run; NaN if the store is of an earlier version."""
+    values = f.record.get(name, np.full(len(f.stored.runs), np.nan))
+    return np.asarray(values, np.float64)
 
 
 def _same(scenario: Scenario) -> str:

@@ -5,7 +5,7 @@ random effects common to both cancel. A value that is not finite marks a diverge
 is worse than every finite value and ties with every other lost run.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from estbench.consistency.intervals import Interval, mean_interval
+from estbench.consistency.multiplicity import holm
 from estbench.shapes import Array
 
 ROUNDING = 1e-9
@@ -83,21 +84,6 @@ def paired(a: Array, b: Array, level: float = 0.95, scale: float | None = None) 
         sign=float(stats.binomtest(less, less + more).pvalue) if less + more else 1.0,
         wilcoxon=float(stats.wilcoxon(signed).pvalue) if less + more else 1.0,
     )
-
-
-def holm(p: Sequence[float]) -> Array:
-    """Holm's adjusted p-values `(k,)`.
-
-    If those below α count as significant, the probability of any false alarm among all k is at
-    most α. The i-th smallest is multiplied by k - i + 1, and the results are made monotone (Holm
-    1979, Scand. J. Stat. 6).
-    """
-    values = np.asarray(p, float)
-    order = np.argsort(values, kind="stable")
-    steps = values[order] * np.arange(len(values), 0, -1)
-    adjusted = np.empty(len(values))
-    adjusted[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
-    return adjusted
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ class Stored:
         scenario: as it was run.
         attrs: provenance: seed and versions.
         names, units: of the tangent coordinates `(n,)`.
+        channels: their names; empty for a store of an earlier version.
         times: instants `(K + 1,)`, s.
         runs: numbers of the finished runs.
         total: count of runs requested.
@@ -49,6 +50,7 @@ class Stored:
     attrs: dict[str, Any]
     names: tuple[str, ...]
     units: tuple[str, ...]
+    channels: tuple[str, ...]
     times: Array
     runs: NDArray[np.int64]
     total: int
@@ -137,6 +139,8 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
     if not done.any():
         raise StoreError(f"{folder} has no finished run yet; go on with it by --resume")
     scenario = scenarios.load(folder)
+    # A store of an earlier version has no names of channels, and nothing that needs them.
+    channels = tuple(map(str, _read(folder, tree, "channel"))) if "channel" in tree else ()
     for label, record in records.items():
         record["cpu_time"] = _cost(folder, tree, label, done, size)
     return Stored(
@@ -146,12 +150,21 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
         attrs={str(key): value for key, value in tree.attrs.items()},
         names=tuple(map(str, names)),
         units=tuple(map(str, units)),
+        channels=channels,
         times=times,
         runs=numbers[done],
         total=len(done),
         records=records,
         summaries={
-            label: summarize(label, record, numbers[done].tolist(), times, scenario.consistency)
+            label: summarize(
+                label,
+                record,
+                numbers[done].tolist(),
+                times,
+                scenario.consistency,
+                tuple(map(str, names)),
+                channels,
+            )
             for label, record in records.items()
         },
         tree=tree,

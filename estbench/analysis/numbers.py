@@ -55,8 +55,9 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
                             for name, unit, d in zip(c.stores[0].names, c.stores[0].units, rmse)
                         },
                         "nees_over_n_difference": {**plain(nees.difference), **_tests(nees)},
+                        "log_likelihood_difference": plain(likely),
                     }
-                    for p, (rmse, nees) in zip(c.pairs, c.details())
+                    for p, (rmse, nees), likely in zip(c.pairs, c.details(), c.log_likelihood)
                 ],
             }
             for c in comparison.contests
@@ -79,6 +80,7 @@ def _estimator(f: Findings) -> dict[str, Any]:
         "label": f.label,
         "runs": s.runs,
         "verdict": str(s.verdict),
+        "reason": s.reason,
         **runs,
         **coordinates,
         "rmse_by_unit": {
@@ -191,11 +193,19 @@ def _row(
 
 def _pair_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     names, units = contest.stores[0].names, contest.stores[0].units
-    for p, (rmse, nees) in zip(contest.pairs, contest.details()):
+    for p, (rmse, nees), likely in zip(contest.pairs, contest.details(), contest.log_likelihood):
         pair = {"estimator": p.a, "against": p.b}
         tests = {"p_sign": p.sign, "p_wilcoxon": p.wilcoxon}
         yield {**pair, "quantity": "rmse_ratio", **plain(p.ratio), **tests}
         differences = [("rmse_difference", n, u, d) for n, u, d in zip(names, units, rmse)]
         for quantity, name, unit, d in (*differences, ("nees_over_n_difference", "", "", nees)):
-            yield {**pair, "quantity": quantity, "coordinate": name, "unit": unit,
-                   **plain(d.difference), "p_sign": d.sign, "p_wilcoxon": d.wilcoxon}  # fmt: skip
+            yield {
+                **pair,
+                "quantity": quantity,
+                "coordinate": name,
+                "unit": unit,
+                **plain(d.difference),
+                "p_sign": d.sign,
+                "p_wilcoxon": d.wilcoxon,
+            }
+        yield {**pair, "quantity": "log_likelihood_difference", **plain(likely)}  # fmt: skip

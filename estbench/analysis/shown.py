@@ -47,7 +47,9 @@ def _verdicts(contest: Contest, comparison: Comparison) -> Table:
             for f in contest.findings
         ],
         f"± and brackets are {comparison.level:.0%} intervals across runs; of the diverged share "
-        "Wilson's.",
+        "Wilson's." + "".join(
+            f"\n{f.key}: {f.summary.reason}." for f in contest.findings if f.summary.reason
+        ),
     )  # fmt: skip
 
 
@@ -105,16 +107,26 @@ def _pairs(contest: Contest, comparison: Comparison) -> Table:
     rows = [
         (
             pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
-            probability(pair.sign), probability(pair.wilcoxon), quantity(nees),
+            probability(pair.sign), probability(pair.wilcoxon), quantity(nees), quantity(likely),
         )
-        for pair, nees in zip(contest.pairs, contest.nees)
+        for pair, nees, likely in zip(contest.pairs, contest.nees, contest.log_likelihood)
         for p in [pair.paired]
     ]  # fmt: skip
     return tabulate(
         "Pairs on common random numbers",
-        ("<a", "<b", "RMSE a/b", "a less/more/tie", "sign p", "Wilcoxon p", "NEES/n a-b"),
+        (
+            "<a",
+            "<b",
+            "RMSE a/b",
+            "a less/more/tie",
+            "sign p",
+            "Wilcoxon p",
+            "NEES/n a-b",
+            "log-lik. a-b",
+        ),
         rows,
-        "p-values are Holm's, over these pairs; runs that one lost count as worse.",
+        "p-values are Holm's, over these pairs; runs that one lost count as worse. The "
+        "log-likelihood compares models of the same readings: larger is better.",
     )
 
 

@@ -49,13 +49,17 @@ def blocks(times: Float[Array, " time"], burn_in: float = 0.0) -> tuple[Block, .
 def span(chosen: Sequence[Block]) -> str:
     """`from 0.0 to 0.4 s`, of blocks that follow each other; a phase by its name.
 
+    The times have as many decimals as show them to 2% of the length.
+
     Args:
         chosen: in order.
     """
     if len(chosen) == 1 and chosen[0].name:
         return f"in {chosen[0].name}"
     start, end = chosen[0].start, chosen[-1].end
-    digits = max(0, 1 - int(np.floor(np.log10(end - start))))
+    slack, digits = 0.02 * (end - start), 1
+    while max(abs(round(x, digits) - x) for x in (start, end)) > slack:
+        digits += 1
     return f"from {start:.{digits}f} to {end:.{digits}f} s"
 
 

@@ -132,9 +132,10 @@ class BatchTraces:
         """Mean over the instants of each block; NaN where none counts."""
         return means(values, counted, [b.members(self.times) for b in self.blocks])
 
-    def overall(self, values: Float[Array, "time run n"]) -> Float[Array, "run n"]:
-        """Mean over the settled instants at which the filter reports a variance."""
-        return means(values, self.uncertain, [self.settled])[:, 0]
+    @cached_property
+    def judged(self) -> Bool[Mask, "time run"]:
+        """Where NEES says something: all is known exactly, and rightly so, elsewhere."""
+        return (self.traces.rank > 0) | ~(self.traces.nees == 0)
 
     def by_size(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
         """Mean over the instants whose covariance is below the run's median, and over the others.
@@ -150,7 +151,8 @@ class BatchTraces:
         changes = np.ptp(size, axis=0) > STEADY
         chosen = values[self.settled]
         every = [np.ones(len(chosen), bool)]
-        parts = [means(chosen, part & changes, every)[:, 0] for part in (small, ~small)]
+        judged = self.judged[self.settled] & changes
+        parts = [means(chosen, part & judged, every)[:, 0] for part in (small, ~small)]
         return np.stack(parts, axis=-1)
 
     def channel_nis(self) -> Float[Array, "run channel"]:

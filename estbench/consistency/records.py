@@ -36,7 +36,7 @@ SUMMARY: dict[str, Recorded] = {
     },
     "nees_by_block": Recorded(
         (*RUN, "block"), "f8", "average of NEES/n in each block of time",
-        lambda b: b.in_blocks(b.normalized, np.ones((len(b.times), 1), bool)),
+        lambda b: b.in_blocks(b.normalized, b.judged),
     ),
     "nees_by_size": Recorded(
         (*RUN, "size"), "f8",

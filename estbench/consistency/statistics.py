@@ -21,8 +21,8 @@ from estbench.consistency.intervals import (
     positive_mean_interval,
     wilson,
 )
-from estbench.consistency.nees import Verdict
 from estbench.consistency.skewness import skewness_interval
+from estbench.consistency.verdict import Judgement, Verdict
 from estbench.shapes import Array, Float
 
 COORDINATE = (*RUN, "coordinate")
@@ -32,7 +32,7 @@ ANEES = Statistic(
     heading="NEES/n",
     key="anees_over_n",
     meaning="mean over runs of the time-averaged NEES, divided by its degrees of freedom (n, less "
-    "what is known exactly); the verdict is made from it",
+    "what is known exactly)",
     of=lambda s: positive_mean_interval(s.converged("anees"), s.level),
     ideal=1.0,
     variables={
@@ -74,8 +74,9 @@ LAG_ONE = Statistic(
     meaning="mean over runs of the lag-one correlation of the whitened innovations",
     of=lambda s: mean_interval(s.converged("lag_one"), s.level),
     ideal=0.0,
+    decimals=3,
     phrase="the innovations' lag-one correlation",
-    places={"run": "full", "innovations": "full", "board_csv": "brief", "report": "full"},
+    places={"run": "brief", "innovations": "full", "board_csv": "brief", "report": "full"},
     variables={
         "lag_one": Recorded(
             RUN, "f8", "lag-one correlation of the whitened innovations",
@@ -278,16 +279,19 @@ class Summary:
     Attributes:
         label: the estimator's label.
         runs: how many runs.
-        verdict: from ANEES/n and the share of diverged runs.
+        judgement: the verdict, and the hypotheses that it is made from.
+        reason: what failed, where, when and by how much; one line, empty for a consistent filter.
         failures: the runs with a numerical failure.
         late: readings, of all runs, that came after the window and were not fused.
         known: share of the steps at which each coordinate was known exactly.
         rank: mean over time and runs of the degrees of freedom of NEES.
+        gated: share of the components of all readings that the estimator's gate refused.
     """
 
     label: str
     runs: int
-    verdict: Verdict
+    judgement: Judgement
+    reason: str
     anees: Interval
     anees_median: float
     anis: Interval
@@ -306,6 +310,12 @@ class Summary:
     late: int = 0
     known: tuple[float, ...] = ()
     rank: float = np.nan
+    gated: float = 0.0
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict, in a word."""
+        return self.judgement.verdict
 
     @property
     def diverged(self) -> float:

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 
 from estbench.consistency import statistics
+from estbench.consistency.blocks import blocks
 from estbench.consistency.declaration import Sample, Statistic
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import NONE
-from estbench.consistency.nees import judge
-from estbench.consistency.statistics import ANEES, DIVERGED, Failure, Summary
+from estbench.consistency.reason import reason
+from estbench.consistency.statistics import Failure, Summary
+from estbench.consistency.verdict import judge
 from estbench.estimators.beliefs import Fault
 from estbench.scenario.schema import ConsistencySection
 from estbench.shapes import Array, Bool, Float, Mask
@@ -22,6 +24,8 @@ def summarize(
     runs: Sequence[int],
     times: Float[Array, " time"],
     section: ConsistencySection,
+    names: Sequence[str],
+    channels: Sequence[str] = (),
 ) -> Summary:
     """The summary of one estimator.
 
@@ -31,13 +35,16 @@ def summarize(
         runs: numbers of the runs in the record.
         times: of the instants and the start, s.
         section: level and tolerance of the verdict.
+        names: of the coordinates.
+        channels: their names; empty for a store of an earlier version.
     """
     sample = Sample(record, section.level, len(times) - 1)
     values: dict[str, Any] = {
         s.name: s.of(sample) if s.variables.keys() <= record.keys() else _unknown(s, record)
         for s in statistics.STATISTICS
     }
-    anees, diverged = values[ANEES.name], values[DIVERGED.name]
+    judgement = judge(record, section.level, section.tolerance)
+    parts = blocks(times, section.burn_in)
     failures = (
         Failure(int(runs[i]), float(times[record["fault_step"][i]]), Fault(record["fault"][i]).text)
         for i in np.flatnonzero(record["fault"]).tolist()
@@ -45,12 +52,21 @@ def summarize(
     return Summary(
         label=label,
         runs=len(runs),
-        verdict=judge(anees, diverged.value, section.tolerance),
+        judgement=judgement,
+        reason=reason(judgement, names, channels, parts, section.tolerance),
         failures=tuple(failures),
         late=int(record["late"].sum()),
+        gated=_gated(record),
         **_exact(record, sample.good),
         **values,
     )
+
+
+def _gated(record: Record) -> float:
+    """Share of the components that were refused; 0 if the store does not have it."""
+    if "gated" not in record:
+        return 0.0
+    return float(record["gated"].sum() / max(record["received"].sum(), 1))
 
 
 def _unknown(s: Statistic, record: Record) -> Any:

@@ -11,9 +11,9 @@ from rich.text import Text
 
 from estbench.consistency import statistics
 from estbench.consistency.fields import Record
-from estbench.consistency.nees import Verdict
 from estbench.consistency.statistics import COST, RMSE, Summary
 from estbench.consistency.summary import exactly_known
+from estbench.consistency.verdict import Verdict
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.tables.cells import cell, per_coordinate, plain, value_of
@@ -25,7 +25,9 @@ NOTE_WIDTH = 90
 COLOURS = {
     Verdict.CONSISTENT: "green",
     Verdict.OVERCONFIDENT: "red",
+    Verdict.BIASED: "red",
     Verdict.CONSERVATIVE: "yellow",
+    Verdict.CORRELATED: "yellow",
     Verdict.DIVERGING: "bold red",
     Verdict.UNDECIDED: "dim",
 }
@@ -91,10 +93,16 @@ class Results:
         parts: list[Any] = [Text(title, style="bold")]
         parts += [Text(f"note: {notice}", style="dim") for notice in self.notices]
         parts += [_verdicts(self.summaries, self.scenario.consistency.level)]
+        parts += [
+            Text(f"{s.label}: {s.reason}", style=COLOURS[s.verdict])
+            for s in self.summaries
+            if s.reason
+        ]
         parts += [_accuracy(self.summaries, self.names, self.units)]
         parts += [Text(line, style="dim") for line in _known(self.summaries, self.names)]
         parts += [Text(line, style="red") for line in _failures(self.summaries)]
-        parts += [Text(line, style="yellow") for line in _late(self.summaries)]
+        lines = (*_late(self.summaries), *_gated(self.summaries))
+        parts += [Text(line, style="yellow") for line in lines]
         if self.folder is not None:
             parts.append(Text(f"written to {self.folder}"))
             if self.interrupted:
@@ -114,6 +122,7 @@ class Results:
             "estimators": {
                 s.label: {
                     "verdict": str(s.verdict),
+                    "reason": s.reason,
                     **_plain(s),
                     **per_coordinate(s, statistics.of("coordinate"), self.names, self.units),
                     "failures": [vars(f) for f in s.failures],
@@ -211,4 +220,13 @@ def _late(summaries: tuple[Summary, ...]) -> list[str]:
         f"note: {s.label}: {s.late} readings came later than filter.window and were not fused"
         for s in summaries
         if s.late
+    ]
+
+
+def _gated(summaries: tuple[Summary, ...]) -> list[str]:
+    return [
+        f"note: {s.label}: its gate refused {s.gated:.2%} of the components of the readings; they "
+        "count in NIS and log-likelihood"
+        for s in summaries
+        if s.gated
     ]

@@ -242,7 +242,15 @@ def _collect(
         steps=sum(instant.control for instant in prepared.instants),
         runs=tuple(runs),
         summaries=tuple(
-            summarize(label, record, runs, prepared.times, section)
+            summarize(
+                label,
+                record,
+                runs,
+                prepared.times,
+                section,
+                prepared.space.names,
+                tuple(prepared.channel_spaces),
+            )
             for label, record in merged.items()
         ),
         records=merged,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.analysis.load import Stored
-from estbench.consistency.nees import Verdict
+from estbench.consistency.verdict import Verdict
 from estbench.errors import EstbenchError
 from estbench.estimators.beliefs import Fault
 from estbench.experiment import setup
@@ -55,21 +55,20 @@ def verdict(entry: Entry, steps: Steps) -> str:
     """The verdict on one estimator in one or two sentences."""
     s = entry.summary
     good = s.runs - round(s.diverged * s.runs)
-    nees = f"NEES/n is {quantity(s.anees)} over {good} runs"
-    percent = f"{s.diverged:.1%} of {s.runs} runs diverged"
-    # Not RMSE/σ of one coordinate: with correlated coordinates each may be nearer to 1.
-    root = f"{math.sqrt(max(s.anees.value, 0)):.3g}"
-    along = f"{root} σ in root mean square along the covariance's own axes"
-    sentences = {
-        Verdict.CONSISTENT: f"{nees}: its errors are as large as its covariance says.",
-        Verdict.OVERCONFIDENT: f"{nees}: its errors are larger than its covariance says, {along}.",
-        Verdict.CONSERVATIVE: f"{nees}: its errors are smaller than its covariance says, {along}.",
-        Verdict.DIVERGING: f"{percent}; of the others, {nees}." if good else f"{percent}.",
-        Verdict.UNDECIDED: f"{nees}, too few to say more.",
-    }
-    text = sentences[s.verdict]
-    if s.verdict is not Verdict.DIVERGING and s.diverged:
-        text += f" {percent[0].upper()}{percent[1:]}."
+    text = f"NEES/n is {quantity(s.anees)} over {good} runs" if good else "No run is left"
+    if s.verdict is Verdict.CONSISTENT:
+        text += ": its errors are as large as its covariance says"
+    elif s.verdict in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE) and 1 not in s.anees:
+        size = "larger" if s.anees.value > 1 else "smaller"
+        # Not RMSE/σ of one coordinate: with correlated coordinates each may be nearer to 1.
+        root = f"{math.sqrt(max(s.anees.value, 0)):.3g}"
+        text += (
+            f": its errors are {size} than its covariance says, {root} σ in root mean square along "
+            "the covariance's own axes"
+        )
+    text += "."
+    if s.reason:
+        text += f" {s.reason[0].upper()}{s.reason[1:]}."
     if math.isfinite(steps.outside):
         text += (
             f" The mean over runs is outside its {1 - steps.expected:.0%} band at "

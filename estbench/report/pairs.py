@@ -7,7 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from estbench.analysis.comparison import Pair, Paired, compare, holm, paired, score
+from estbench.analysis.comparison import Pair, Paired, compare, paired, score
+from estbench.consistency.multiplicity import holm
 from estbench.report.sources import Entry
 from estbench.shapes import Array
 

@@ -279,7 +279,7 @@ class ConsistencySection(Section):
 
     level: Annotated[float, Field(gt=0, lt=1)] = 0.95
     tolerance: Annotated[float, Field(ge=0)] = Field(
-        0.05, description="ANEES/n within 1 ± this is consistent in practice"
+        0.1, description="NEES/n and NIS/m within 1 ± this are consistent in practice"
     )
     burn_in: Annotated[float, Field(ge=0)] = Field(
         0.0, description="s that are left out at the start"

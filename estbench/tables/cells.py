@@ -19,7 +19,7 @@ def cell(statistic: Statistic, value: Interval | float, detail: Detail) -> str:
         detail: with its interval or without; a number has none.
     """
     if not isinstance(value, Interval):
-        return number(value, statistic.decimals)
+        return number(value, statistic.decimals, tiny=True)
     if statistic.form == "share":
         return percent(value) if detail == "full" else share(value.value)
     return quantity(value) if detail == "full" else number(value.value, statistic.decimals)

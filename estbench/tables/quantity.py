@@ -94,12 +94,20 @@ def percent(i: Interval, decimals: int = 1) -> str:
     return f"{value}% [{low}, {high}]"
 
 
-def number(x: float, decimals: int | None = None) -> str:
-    """A number to `decimals`, or to three digits; `–` for NaN, `∞` for infinity."""
+def number(x: float, decimals: int | None = None, tiny: bool = False) -> str:
+    """A number to `decimals`, or to three digits; `–` for NaN, `∞` for infinity.
+
+    Args:
+        x: the number.
+        decimals: after the point; None for three digits.
+        tiny: whether one that would be shown as 0.000, and is not 0, has a power of ten.
+    """
     if not math.isfinite(x):
         return "–" if math.isnan(x) else "∞" if x > 0 else "-∞"
     if decimals is None and 999.5 <= abs(x) < 1e6:
         return f"{x:.0f}"
+    if tiny and decimals is not None and 0 < abs(x) < 10.0**-decimals:
+        return f"{x:.2e}"
     return f"{x:.3g}" if decimals is None or abs(x) >= 1e4 else f"{x:.{decimals}f}"
 
 

@@ -37,7 +37,10 @@ def test_only_finished_runs_count(stores, unfinished):
             stored.records["ekf"][name], results.records["ekf"][name][rows]
         )
     part = {k: v[done] for k, v in results.records["ekf"].items() if len(v) == 24}
-    expected = summarize("ekf", part, done.tolist(), stored.times, stored.scenario.consistency)
+    expected = summarize(
+        "ekf", part, done.tolist(), stored.times, stored.scenario.consistency, stored.names,
+        stored.channels,
+    )  # fmt: skip
     assert stored.summaries["ekf"].rmse == expected.rmse
     assert stored.summaries["ekf"].runs == 16
 

@@ -33,8 +33,10 @@ def test_means_by_hand():
     np.testing.assert_array_equal(found, [[[2.0, 9.0], [np.nan, 4.0], [np.nan, np.nan]]])
 
 
-def test_a_span_is_written_to_two_digits_of_its_length_and_a_phase_by_its_name():
-    assert span([Block(0.0, 0.4)]) == "from 0.00 to 0.40 s"
+def test_a_span_has_the_decimals_that_it_needs_and_a_phase_its_name():
+    assert span([Block(0.0, 0.4)]) == "from 0.0 to 0.4 s"
+    assert span([Block(0.02, 0.04)]) == "from 0.02 to 0.04 s"
+    assert span([Block(1 / 3, 2 / 3)]) == "from 0.33 to 0.67 s"
     assert span([Block(0.5, 1.0), Block(1.0, 2.5)]) == "from 0.5 to 2.5 s"
-    assert span([Block(10.0, 25.0)]) == "from 10 to 25 s"
+    assert span([Block(10.0, 25.0)]) == "from 10.0 to 25.0 s"
     assert span([Block(0.5, 1.0, "contact")]) == "in contact"

@@ -6,7 +6,7 @@ from scipy import stats
 
 from estbench.consistency import nees as consistency
 from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
-from estbench.consistency.nees import Verdict, chi_square_band, diverged_runs, judge
+from estbench.consistency.nees import chi_square_band, diverged_runs
 
 # Chi-square bands
 
@@ -78,44 +78,6 @@ def test_contains():
     assert 1.0 in Interval(1.0, 1.0, 1.0)
     assert 0.9 not in Interval(1.5, 1.0, 2.0)
     assert 2.1 not in Interval(1.5, 1.0, 2.0)
-
-
-# Verdicts
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "diverged", "verdict"),
-    [
-        (0.90, 1.10, 0.0, Verdict.CONSISTENT),
-        (1.04, 1.20, 0.0, Verdict.CONSISTENT),  # meets 1.05
-        (0.80, 0.96, 0.0, Verdict.CONSISTENT),  # meets 0.95
-        (1.051, 1.2, 0.0, Verdict.OVERCONFIDENT),
-        (0.80, 0.949, 0.0, Verdict.CONSERVATIVE),
-        (0.90, 1.10, 0.05, Verdict.CONSISTENT),
-        (0.90, 1.10, 0.051, Verdict.DIVERGING),
-        (1.20, 1.30, 1.0, Verdict.DIVERGING),
-        (np.nan, np.nan, 1.0, Verdict.DIVERGING),
-        (-np.inf, np.inf, 0.0, Verdict.UNDECIDED),
-        (np.nan, np.nan, 0.0, Verdict.UNDECIDED),
-    ],
-)
-def test_verdicts(low, high, diverged, verdict):
-    assert judge(Interval(0.5 * (low + high), low, high), diverged) is verdict
-
-
-def test_tolerance_and_share_can_be_set():
-    assert judge(Interval(1.03, 1.01, 1.05), 0.0, tolerance=0.0) is Verdict.OVERCONFIDENT
-    assert judge(Interval(1.3, 1.2, 1.4), 0.0, tolerance=0.25) is Verdict.CONSISTENT
-    assert judge(Interval(1.0, 0.9, 1.1), 0.2, max_diverged=0.3) is Verdict.CONSISTENT
-
-
-def test_a_consistent_filter_is_refused_as_often_as_the_level_says():
-    count, runs = 3000, 20
-    anees = np.random.default_rng(3).chisquare(60, (count, runs)) / 60
-    refused = np.mean(
-        [judge(mean_interval(a), 0.0, tolerance=0.0) is not Verdict.CONSISTENT for a in anees]
-    )
-    assert abs(refused - 0.05) < 6 * np.sqrt(0.05 * 0.95 / count)
 
 
 # Divergence

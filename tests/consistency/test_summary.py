@@ -7,7 +7,7 @@ from scipy import stats
 from estbench.analysis.findings import accuracies
 from estbench.consistency import records
 from estbench.consistency import summary as statistics
-from estbench.consistency.nees import Verdict
+from estbench.consistency.verdict import Verdict
 from estbench.estimators.beliefs import Fault
 from estbench.inference.traces import Traces
 from estbench.scenario.schema import ConsistencySection
@@ -16,18 +16,21 @@ TIMES = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 SECTION = ConsistencySection(burn_in=0.1, divergence_threshold=10.0, divergence_duration=0.2)
 
 
-def traces(runs=6, steps=4, n=2, seed=0, spread=1.0):
+def traces(runs=6, steps=4, n=2, seed=0, spread=1.0, most=2.0):
     rng = np.random.default_rng(seed)
     error = spread * rng.standard_normal((steps + 1, runs, n))
     dof = np.tile([1, 0, 2, 2][:steps], (runs, 1)).T
-    nis = np.where(dof > 0, rng.chisquare(1, dof.shape), np.nan)
+    nis = np.where(dof > 0, rng.chisquare(np.maximum(dof, 1)), np.nan)
+    each = nis / np.maximum(dof, 1)
     mean = rng.standard_normal(error.shape)
     return Traces(
-        truth=mean + error, mean=mean, error=error, std=np.ones_like(error) * rng.uniform(1, 2, n),
-        nees=(error**2).sum(axis=-1), rank=np.full((steps + 1, runs), n), nis=nis, dof=dof,
+        truth=mean + error, mean=mean, error=error,
+        std=np.ones_like(error) * rng.uniform(1, most, n),
+        nees=(error**2).sum(axis=-1), rank=np.full((steps + 1, runs), n),
+        nis=nis, dof=dof,
         log_likelihood=np.where(dof > 0, rng.standard_normal(dof.shape), 0.0),
-        gated=np.minimum(dof, 1), channel_nis=np.stack([nis, np.where(dof > 1, nis, np.nan)], -1),
-        lags=rng.normal(0, 1, (runs, 3)), lag_terms=np.tile([9, 8, 7], (runs, 1)),
+        gated=np.minimum(dof, 1), channel_nis=np.stack([each, np.where(dof > 1, each, np.nan)], -1),
+        lags=rng.normal([9.0, 0.0, 0.0], 1.0, (runs, 3)), lag_terms=np.tile([9, 8, 7], (runs, 1)),
         fault=np.zeros(runs, np.uint8), fault_step=np.full(runs, -1), late=np.arange(runs),
         cpu_time=6e-3,
         cov=np.tile(np.eye(n), (steps + 1, runs, 1, 1)),
@@ -157,7 +160,10 @@ def test_merged_batches_are_one_batch():
         else:
             assert len(merged[name]) == 2
             np.testing.assert_allclose(merged[name].sum(axis=0), one[name][0], err_msg=name)
-    a, b = (statistics.summarize("x", record, range(6), TIMES, SECTION) for record in (one, merged))
+    a, b = (
+        statistics.summarize("x", record, range(6), TIMES, SECTION, "ab")
+        for record in (one, merged)
+    )
     assert str(replace(a, cost=0.0)) == str(replace(b, cost=0.0))
     assert a.cost == pytest.approx(b.cost)
 
@@ -166,7 +172,8 @@ def test_merged_batches_are_one_batch():
 
 
 def summarize(record, section=SECTION):
-    return statistics.summarize("ekf", record, range(10, 10 + len(record["anees"])), TIMES, section)
+    runs = range(10, 10 + len(record["anees"]))
+    return statistics.summarize("ekf", record, runs, TIMES, section, ("a", "b"), ("c", "d"))
 
 
 def test_summary_by_hand():
@@ -219,13 +226,13 @@ def test_intervals_are_of_plain_numbers():
     [(1.0, Verdict.CONSISTENT), (1.5, Verdict.OVERCONFIDENT), (0.6, Verdict.CONSERVATIVE)],
 )
 def test_verdict_of_many_runs(spread, verdict):
-    record = reduce(traces(runs=2000, spread=spread, seed=4))
+    record = reduce(traces(runs=2000, spread=spread, seed=4, most=1.0))
     record["diverged"][:] = False
     assert summarize(record).verdict is verdict
 
 
 def test_level_and_tolerance_come_from_the_section():
-    record = reduce(traces(runs=200))
+    record = reduce(traces(runs=200, most=1.0))
     narrow, wide = (summarize(record, ConsistencySection(level=level)) for level in (0.5, 0.99))
     assert wide.anees.high - wide.anees.low > 2 * (narrow.anees.high - narrow.anees.low)
     record["anees"] *= 1.2

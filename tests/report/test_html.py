@@ -263,13 +263,16 @@ def test_an_estimator_that_lost_every_run_has_dashes(two):
     entries, _, _, _ = two
     record = {**entries[1].record, "diverged": np.ones_like(entries[1].record["diverged"])}
     source = entries[1].source
-    summary = summarize("ukf", record, list(source.runs), source.times, source.scenario.consistency)
+    summary = summarize(
+        "ukf", record, list(source.runs), source.times, source.scenario.consistency, source.names,
+        source.channels,
+    )  # fmt: skip
     lost = replace(entries[1], record=record, summary=summary)
     page = render([entries[0], lost], video=False)
     shown = [cell[0] for table in Tables(page).cells.values() for row in table for cell in row]
     assert "–" in shown
     assert not [text for text in shown if "nan" in text]
-    assert "100.0% of 12 runs diverged." in page
+    assert "12 of 12 runs diverged (100.0%)." in page
 
 
 def test_runs_are_the_stored_ones(two):

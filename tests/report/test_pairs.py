@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from estbench.analysis.compare import compare_stores
-from estbench.analysis.comparison import holm
 from estbench.consistency.intervals import Interval, mean_interval
+from estbench.consistency.multiplicity import holm
 from estbench.report import pairs, tables
 
 

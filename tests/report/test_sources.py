@@ -35,7 +35,13 @@ def test_an_unfinished_store_counts_its_finished_batches_only(store, tmp_path):
     np.testing.assert_array_equal(entry.record["anees"], whole.record["anees"][kept])
     assert np.isfinite(entry.record["nees_sum"]).all()
     again = statistics.summarize(
-        "ekf", entry.record, kept, entry.source.times, entry.source.scenario.consistency
+        "ekf",
+        entry.record,
+        kept,
+        entry.source.times,
+        entry.source.scenario.consistency,
+        entry.source.names,
+        entry.source.channels,
     )
     assert entry.summary.anees == again.anees
     assert entry.position(3) == 3

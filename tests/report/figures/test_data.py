@@ -6,7 +6,8 @@ from scipy import stats
 
 from estbench.consistency.coverage import SIGMAS
 from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
-from estbench.consistency.nees import Verdict, chi_square_band
+from estbench.consistency.nees import chi_square_band
+from estbench.consistency.verdict import Verdict
 from estbench.report import facts
 from estbench.report.figures import data, traces
 
@@ -35,7 +36,8 @@ def test_nees_is_the_mean_of_the_traces_in_the_band_of_consistency(pair):
 )
 def test_the_sentence_says_of_what_the_root_of_nees_is(pair, verdict, value, words):
     anees = Interval(value, value - 0.1, value + 0.1)
-    entry = replace(pair[0], summary=replace(pair[0].summary, verdict=verdict, anees=anees))
+    judgement = replace(pair[0].summary.judgement, verdict=verdict)
+    entry = replace(pair[0], summary=replace(pair[0].summary, judgement=judgement, anees=anees))
     said = facts.verdict(entry, data.nees_steps(entry))
     root = f"{value**0.5:g} σ in root mean square along the covariance's own axes"
     assert f"its errors are {words} than its covariance says, {root}." in said

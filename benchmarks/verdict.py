@@ -1,0 +1,91 @@
+"""Calibration and power of the whole verdict: `python -m benchmarks.verdict`.
+
+Whole experiments on linear-Gaussian models: a matched Kalman filter (false alarms), one with a
+wrong Q, and each of the faults of `estbench.analysis.faults` (power). Level 95%.
+"""
+
+import argparse
+import time
+from collections import Counter
+
+from estbench.analysis.calibration import observed, vehicle
+from estbench.analysis.faults import FAULTS
+from estbench.analysis.trials import experiments, reduced, simulate
+from estbench.consistency.fields import Record
+from estbench.consistency.intervals import wilson
+from estbench.consistency.verdict import Verdict, judge
+from estbench.tables.columns import Table, tabulate
+from estbench.tables.quantity import percent
+from estbench.tables.writers import text
+
+RUNS = (20, 50, 200)
+STEPS = 50
+MODELS = {"oscillator": observed(), "vehicle": vehicle()}
+SCALES = (0.5, 2.0, 100.0)
+NOT_REFUSED = (Verdict.CONSISTENT, Verdict.UNDECIDED)
+
+
+def verdicts(record: Record, runs: int, tolerance: float = 0.1) -> Counter[Verdict]:
+    """How many experiments get each verdict."""
+    return Counter(judge(part, tolerance=tolerance).verdict for part in experiments(record, runs))
+
+
+def shares(found: Counter[Verdict]) -> tuple[str, str, str]:
+    """Shares of refused (with Wilson's interval), undecided and consistent experiments."""
+    total = found.total()
+    refused = total - sum(found[v] for v in NOT_REFUSED)
+    undecided, consistent = (
+        f"{found[v] / total:.0%}" for v in (Verdict.UNDECIDED, Verdict.CONSISTENT)
+    )
+    return percent(wilson(refused, total)), undecided, consistent
+
+
+def alarms(total: int) -> Table:
+    """What a matched filter is called, by runs of an experiment and tolerance."""
+    rows = []
+    for i, (name, model) in enumerate(MODELS.items()):
+        record = reduced(simulate(model, total, STEPS, seed=100 + i))
+        for runs in RUNS:
+            for tolerance in (0.0, 0.1):
+                found = verdicts(record, runs, tolerance)
+                rows.append((name, str(runs), f"{tolerance:g}", str(found.total()), *shares(found)))
+    headings = ("<model", "runs", "tolerance", "experiments", "refused", "undecided", "consistent")
+    return tabulate("A matched filter", headings, rows)
+
+
+def power(count: int) -> Table:
+    """What filters that are not consistent are called.
+
+    Args:
+        count: experiments for each figure.
+    """
+    model, rows = MODELS["oscillator"], []
+    for runs in (50, 200):
+        matched = simulate(model, runs * count, STEPS, seed=200 + runs)
+        for scale in SCALES:
+            record = reduced(simulate(model, runs * count, STEPS, 300 + runs, scale))
+            found = verdicts(record, runs)
+            word, times = found.most_common(1)[0]
+            rows.append(
+                (f"Q x {scale:g}", str(runs), *shares(found), f"{word} {times / count:.0%}")
+            )
+        for name, fault in FAULTS.items():
+            found = verdicts(reduced(fault.make(matched, runs)), runs)
+            word, times = found.most_common(1)[0]
+            rows.append((name, str(runs), *shares(found), f"{word} {times / count:.0%}"))
+    headings = ("<filter", "runs", "refused", "undecided", "consistent", "<most often")
+    return tabulate("Filters that are not consistent, tolerance 0.1", headings, rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--total", type=int, default=40_000, help="runs for the false alarms")
+    parser.add_argument("--experiments", type=int, default=100, help="for each figure of power")
+    arguments = parser.parse_args()
+    began = time.perf_counter()
+    print(text([alarms(arguments.total), power(arguments.experiments)]))
+    print(f"\n{time.perf_counter() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
