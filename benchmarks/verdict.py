@@ -66,14 +66,13 @@ def power(count: int) -> Table:
             record = reduced(simulate(model, runs * count, STEPS, 300 + runs, scale))
             found = verdicts(record, runs)
             word, times = found.most_common(1)[0]
-            rows.append(
-                (f"Q x {scale:g}", str(runs), *shares(found), f"{word} {times / count:.0%}")
-            )
+            row = f"Q x {scale:g}", f"{word} {times / count:.0%}", str(runs), *shares(found)
+            rows.append(row)
         for name, fault in FAULTS.items():
             found = verdicts(reduced(fault.make(matched, runs)), runs)
             word, times = found.most_common(1)[0]
-            rows.append((name, str(runs), *shares(found), f"{word} {times / count:.0%}"))
-    headings = ("<filter", "runs", "refused", "undecided", "consistent", "<most often")
+            rows.append((name, f"{word} {times / count:.0%}", str(runs), *shares(found)))
+    headings = ("<filter", "<most often", "runs", "refused", "undecided", "consistent")
     return tabulate("Filters that are not consistent, tolerance 0.1", headings, rows)
 
 
