@@ -1,7 +1,7 @@
 """estbench: a testbed for state estimators on simulated robots.
 
 >>> import estbench
->>> results = estbench.run("pendulum", ["ekf"], runs=20, duration=1.0)
+>>> results = estbench.run("pendulum", ["ekf"], runs=100, duration=1.0)
 >>> str(results["ekf"].verdict)
 'consistent'
 

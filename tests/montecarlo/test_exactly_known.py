@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench.consistency.nees import Verdict
+from estbench.consistency.verdict import Verdict
 from estbench.estimators.beliefs import Fault
 
 ROBOT = """
