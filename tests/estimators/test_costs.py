@@ -81,10 +81,11 @@ SIGMA = (2 * N + 1, 2 * N + 1)
         ("bias_ekf", {"bias": 0.1, "inputs": 0.1}, (N + 4, N + 4)),
         ("bias_ukf", {"bias": {"y0": 0.1}}, (2 * N + 3, 2 * N + 3)),
         ("converted_ekf", {"range": "y0", "bearing": "y1", "position": ["x0", "x1"]}, JACOBIAN),
-        ("filterpy_ekf", {}, JACOBIAN),
-        ("filterpy_ukf", {}, SIGMA),
-        ("stonesoup_ekf", {}, (N + 2, 2 * N + 3)),
-        ("stonesoup_ukf", {}, SIGMA),
+        # The adapters ask once more whether every component has a return.
+        ("filterpy_ekf", {}, (JACOBIAN[0], JACOBIAN[1] + 1)),
+        ("filterpy_ukf", {}, (SIGMA[0], SIGMA[1] + 1)),
+        ("stonesoup_ekf", {}, (N + 2, 2 * N + 4)),
+        ("stonesoup_ukf", {}, (SIGMA[0], SIGMA[1] + 1)),
     ],
 )
 def test_a_step(name, settings, expected):
