@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         ModelError,
         ScenarioError,
         StoreError,
+        StudyError,
     )
     from estbench.estimators.beliefs import Gaussian
     from estbench.estimators.ckf import CKF
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
     from estbench.scenario.schema import Scenario
     from estbench.smoothers.estimators import MAP, RTS, URTS
     from estbench.store.zarr import open_results
+    from estbench.study.store import open_study
+    from estbench.study.sweep import sweep
 
 __version__ = "0.1.0"
 __all__ = [
@@ -84,11 +87,14 @@ __all__ = [
     "ScenarioError",
     "Smoother",
     "StoreError",
+    "StudyError",
     "follow",
     "load",
     "open_results",
+    "open_study",
     "posterior_bound",
     "run",
+    "sweep",
 ]
 
 _MODULES = {
@@ -96,6 +102,7 @@ _MODULES = {
     "errors": (
         "ControllerError", "CovarianceError", "DimensionError", "EstbenchError", "EstimatorError",
         "MissingExtraError", "ModelError", "ScenarioError", "StoreError",
+        "StudyError",
     ),
     "estimators.beliefs": ("Gaussian",),
     "estimators.ckf": ("CKF",),
@@ -119,6 +126,8 @@ _MODULES = {
     "scenario.schema": ("Scenario",),
     "smoothers.estimators": ("MAP", "RTS", "URTS"),
     "store.zarr": ("open_results",),
+    "study.store": ("open_study",),
+    "study.sweep": ("sweep",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

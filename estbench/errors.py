@@ -46,6 +46,10 @@ class ControllerError(EstbenchError):
     """A controller cannot be built, raised, or returned something unusable."""
 
 
+class StudyError(EstbenchError):
+    """A sweep or a tuning has an invalid setting."""
+
+
 class StoreError(EstbenchError):
     """Results cannot be written or read."""
 

@@ -11,7 +11,7 @@ from typing import Annotated, cast
 import typer
 
 from estbench import __version__
-from estbench.commands import check, compare, control, report, run, sensors
+from estbench.commands import check, compare, control, report, run, sensors, sweep
 from estbench.commands.shared import say
 from estbench.errors import EstbenchError, Interrupted
 
@@ -44,7 +44,8 @@ def root(
     """The options before a command."""
 
 
-for command in (run, check, sensors, control, report, compare):  # in the order of `--help`
+# In the order of `--help`.
+for command in (run, check, sensors, control, report, compare, sweep):
     command.register(app)
 
 

@@ -82,7 +82,7 @@ def run(
     folder = out if out is not None or continued else store.default_folder(resolved.name)
     with progress(resolved.simulation.runs) as bar:
         results = experiment.run(
-            resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=_shard(shard),
+            resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=shares(shard),
             executor=executor, address=address, workers=workers, progress=bar,
             say=lambda line: say(f"note: {line}"),
         )  # fmt: skip
@@ -96,7 +96,7 @@ def run(
         raise typer.Exit(1)
 
 
-def _shard(text: str | None) -> tuple[int, int] | None:
+def shares(text: str | None) -> tuple[int, int] | None:
     """`I/N` as a pair of integers.
 
     Raises:

@@ -5,19 +5,15 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from estbench.errors import CovarianceError, DimensionError, ScenarioError, did_you_mean
+from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.robots import layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
-from estbench.robots.measurement import Measurand
-from estbench.robots.model import Scale, SensorChannel
 from estbench.scenario.schema import (
-    BelievedChannelSection,
-    FilterSection,
+    AddSensor,
     InitialSection,
     ProcessNoiseSection,
     Scenario,
 )
-from estbench.sensors import channel as sensors
 from estbench.sensors import datasheet, schedules
 from estbench.sensors.channel import Channel
 from estbench.sensors.timing import Instant, MjcfTiming
@@ -28,45 +24,38 @@ from estbench.spaces.patterns import expand
 DEFAULT_DENSITY = 0.01
 
 
-def robots(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel, mujoco.MjModel]:
-    """The robot's MJCF specification, the true model, and the filter's model.
+def robot(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """The robot's MJCF specification, and the true model.
 
     Raises:
-        ScenarioError: a model cannot be compiled, or has no state.
-        DimensionError: the two models have different states or controls.
+        ScenarioError: the model cannot be compiled, or has no state.
     """
-    section, belief = scenario.model, scenario.filter
-    added = {name: c.add for name, c in scenario.channels.items() if c.add is not None}
-    spec = mjcf.read(section.path, added)
+    section = scenario.model
+    spec = mjcf.read(section.path, added_sensors(scenario))
     truth = mjcf.compile_model(
         spec,
         timestep=section.timestep,
         integrator=section.integrator,
         settings=section.set,
     )
-    believed = mjcf.compile_model(
-        mjcf.read(belief.path, added) if belief.path else spec,
-        timestep=belief.timestep or section.timestep,
-        integrator=belief.integrator or section.integrator,
-        settings=section.set,
-        where="filter" if belief.path else "model",
-    )
     truth = parameters.changed(truth, scenario.truth.set, "truth.set")
-    believed = parameters.changed(believed, belief.set, "filter.set")
-    for name, model in (("model", truth), ("filter", believed)):
-        if not model.opt.timestep > 0:
-            raise ScenarioError(f"{name}.timestep is {model.opt.timestep:g} s; use one above 0")
-    space = layout.state_space(truth)
-    if not space.n:
+    check_timestep(truth, "model")
+    if not layout.state_space(truth).n:
         raise ScenarioError(
             f"model.path '{section.path}' has no joint: there is no state to estimate"
         )
-    if layout.state_space(believed).names != space.names or believed.nu != truth.nu:
-        raise DimensionError(
-            f"filter.path: states {', '.join(layout.state_space(believed).names)} with "
-            f"{believed.nu} controls; expected {', '.join(space.names)} with {truth.nu}"
-        )
-    return spec, truth, believed
+    return spec, truth
+
+
+def added_sensors(scenario: Scenario) -> dict[str, AddSensor]:
+    """Channel -> the sensor that it adds to the model."""
+    return {name: c.add for name, c in scenario.channels.items() if c.add is not None}
+
+
+def check_timestep(model: mujoco.MjModel, where: str) -> None:
+    """Refuse a timestep that is not positive."""
+    if not model.opt.timestep > 0:
+        raise ScenarioError(f"{where}.timestep is {model.opt.timestep:g} s; use one above 0")
 
 
 def disturbance(
@@ -169,64 +158,6 @@ def initial(
             )
         return mean, np.diag(std**2)
     return mean, datasheet.matrix(section.cov, space, "initial.cov", "P₀", definite=False)
-
-
-def believed_channels(
-    model: mujoco.MjModel, channels: Sequence[Channel], section: FilterSection, duration: float
-) -> tuple[SensorChannel, ...]:
-    """The channels as the filter believes them; their sensors are found by name in its model.
-
-    Args:
-        model: the filter's model.
-        channels: the true channels.
-        section: the scenario's `[filter]`.
-        duration: length of each run, s.
-
-    Raises:
-        ScenarioError: an unknown channel, or a sensor that the filter's model lacks.
-    """
-    names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
-    known = [c.name for c in channels]
-    for name in section.channels:
-        if name not in known:
-            raise ScenarioError(f"filter.channels: no channel '{name}'{did_you_mean(name, known)}")
-    out = []
-    for channel in channels:
-        belief = section.channels.get(channel.name, BelievedChannelSection())
-        R, scale = _believed_noise(channel, belief, section.measurement_noise_scale, duration)
-        measurand = channel.measurand
-        if not measurand.function:
-            missing = [name for name in channel.sensors if name not in names]
-            if missing:
-                raise ScenarioError(
-                    f"filter.path: the filter's model has no sensor {', '.join(missing)}"
-                )
-            indices = [names.index(name) for name in channel.sensors]
-            measurand = Measurand.of_sensors(model, *indices, axes=measurand.axes)
-        out.append(SensorChannel(channel.name, -1, R, scale, measurand))
-    return tuple(out)
-
-
-def _believed_noise(
-    channel: Channel, belief: BelievedChannelSection, scale: float, duration: float
-) -> tuple[Float[Array, "m m"], Scale | None]:
-    """R of a channel as the filter believes it, and its scale over time or None.
-
-    Raises:
-        ScenarioError: a constant R and a schedule of full covariances are both given.
-    """
-    where = f"filter.channels.{channel.name}"
-    own = schedules.build(belief.schedule, channel.space.n, duration, f"{where}.schedule")
-    if own is None and belief.follow_schedule:
-        own = channel.schedule
-    R = schedules.initial_covariance(own)
-    if R is not None and (belief.noise is not None or belief.cov is not None):
-        raise ScenarioError(
-            f"{where} has a constant R of its own, and follows a schedule of whole covariances; "
-            "give one of them (follow_schedule = false, or a schedule of factors)"
-        )
-    R = scale * (sensors.believed_covariance(channel, belief) if R is None else R)
-    return R, None if own is None else schedules.Scaled(own, scale).at
 
 
 def mjcf_timings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MjcfTiming]:

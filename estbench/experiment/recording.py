@@ -12,7 +12,7 @@ from estbench.inference.event_loop import Source, run_filter
 from estbench.inference.traces import Traces
 from estbench.randomness import streams
 from estbench.scenario.reference import LABEL
-from estbench.simulation.sources import Live, Noting, Trajectory, record
+from estbench.simulation.sources import Live, Noting, Recorded, Trajectory, record
 
 Stop = Callable[[], bool]
 
@@ -95,3 +95,33 @@ def blamed(traces: Traces, trajectory: Trajectory) -> Traces:
     without = trajectory.lost & (traces.fault == Fault.TRUTH)
     fault = np.where(without, Fault.REFERENCE, traces.fault).astype(traces.fault.dtype)
     return replace(traces, fault=fault)
+
+
+def estimated(
+    prepared: Setup,
+    label: str,
+    runs: Sequence[int],
+    truth: Trajectory | None,
+    keep_cov: bool = False,
+    keep_innovations: bool = False,
+    stop: Stop = lambda: False,
+) -> tuple[Traces, Trajectory] | None:
+    """The traces of an estimator on some runs and the truth that it followed; None when stopped.
+
+    Args:
+        prepared: the experiment.
+        label: of the estimator.
+        runs: their numbers.
+        truth: of these runs; None where the controller sees this estimator's own estimate.
+        keep_cov: whether to record full covariances.
+        keep_innovations: whether to record ν and S.
+        stop: asked at every instant; True ends it.
+    """
+    keep = keep_cov, keep_innovations, stop
+    if truth is None:
+        noting = Noting(driven(prepared, runs))
+        traces = followed(prepared, label, runs, noting, *keep)
+        return None if traces is None else (traces, noting.trajectory())
+    source = Recorded(prepared.instants, truth)
+    traces = followed(prepared, label, runs, source, *keep)
+    return None if traces is None else (blamed(traces, truth), truth)

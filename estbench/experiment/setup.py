@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -14,7 +14,9 @@ from estbench.errors import EstbenchError, EstimatorError, ScenarioError, user_e
 from estbench.estimators import registry
 from estbench.estimators.of_state import OfState
 from estbench.estimators.protocol import Estimator, ScheduleCheck, depends_on_time
+from estbench.experiment import believed as believing
 from estbench.experiment import build as resolution
+from estbench.experiment.believed import Believed
 from estbench.experiment.trial import try_estimator
 from estbench.inference import initialization as starting
 from estbench.inference.fusion import Delays
@@ -24,9 +26,11 @@ from estbench.models.seen_noise import SeenNoise
 from estbench.robots import flags, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.measurement import needed_stage
-from estbench.robots.model import MujocoModel, SensorChannel, whole_steps
+from estbench.robots.model import MujocoModel
+from estbench.scenario import believed as own
 from estbench.scenario import load as scenarios
 from estbench.scenario import reference
+from estbench.scenario.believed import LOOP
 from estbench.scenario.schema import (
     BelievedChannelSection,
     ControlSection,
@@ -58,11 +62,11 @@ class Setup:
     Attributes:
         scenario: what it was built from.
         plant: the nominal robot: truth model, state space, keyframe, control period.
-        filter_model: the MuJoCo model as the filter believes it.
-        filter_channels: the filter's sensors and R.
         channels: the true sensors.
         instants: the event loop's schedule.
-        disturbance: the true process noise; the filter's is `filter_disturbance`.
+        disturbance: the true process noise.
+        shared: what the estimators believe of the robot, by the scenario's `[filter]`.
+        believed: label -> what that estimator believes.
         mean, cov: x̂₀ and P₀.
         notices: assumptions where the scenario says nothing.
         reference: the experiment of the estimator whose estimate the controller sees, with the
@@ -71,12 +75,11 @@ class Setup:
 
     scenario: Scenario
     plant: controllers.Plant
-    filter_model: mujoco.MjModel
-    filter_channels: tuple[SensorChannel, ...]
     channels: tuple[Channel, ...]
     instants: tuple[Instant, ...]
     disturbance: Disturbance
-    filter_disturbance: Disturbance
+    shared: Believed
+    believed: Mapping[str, Believed]
     mean: Float[Array, " nx"]
     cov: Float[Array, "n n"]
     notices: tuple[str, ...]
@@ -92,14 +95,25 @@ class Setup:
         """The start, and the end of every instant, s."""
         return np.array([0.0] + [i.end for i in self.instants])
 
-    def model(self, nthread: int = 1, robot: mujoco.MjModel | None = None) -> MujocoModel:
-        """A new filter model: one per thread, or of another `robot` with the same state."""
-        section = self.scenario.filter
+    def model(
+        self,
+        nthread: int = 1,
+        robot: mujoco.MjModel | None = None,
+        believed: Believed | None = None,
+    ) -> MujocoModel:
+        """A new filter model: one per thread, or of another `robot` with the same state.
+
+        Args:
+            nthread: threads of its backend.
+            robot: in place of that of `believed`.
+            believed: default that of the scenario's `[filter]`.
+        """
+        side = believed or self.shared
         return MujocoModel(
-            robot or self.filter_model,
-            self.filter_channels,
-            self.filter_disturbance,
-            Differences(section.differences, section.step),
+            robot or side.robot,
+            side.channels,
+            side.disturbance,
+            Differences(side.section.differences, side.section.step),
             nthread,
             self.plant.u0,
         )
@@ -111,7 +125,8 @@ class Setup:
 
     def estimator(self, label: str, nthread: int = 1) -> Estimator:
         """A new estimator of that label on a new model, with the start of the scenario."""
-        model, start = self._believed(self.model(nthread)), self.start(label)
+        model = self._with_noise(self.model(nthread, believed=self.believed[label]))
+        start = self.start(label)
         settings = self.settings(label)
         if isinstance(settings.get("models"), list):
             settings["models"] = [self._varied(label, table) for table in settings["models"]]
@@ -138,9 +153,11 @@ class Setup:
         ]
         return sight(names, self.seen)
 
-    def _believed(self, model: MujocoModel) -> MujocoModel | SeenNoise:
+    def _with_noise(self, model: MujocoModel) -> MujocoModel | SeenNoise:
         """The model that the estimators get: with the disturbance in its state where it is seen."""
-        return SeenNoise(model) if self.seen and self.filter_disturbance.rank else model
+        noise = model.disturbance
+        seen = self.seen and noise.rank and noise.kind != "additive"
+        return SeenNoise(model) if seen else model
 
     def _varied(self, label: str, changes: Any) -> MujocoModel | SeenNoise:
         """The filter's model with some parameters set, as one of the `models` of an estimator."""
@@ -149,8 +166,9 @@ class Setup:
             raise ScenarioError(
                 f"{where}: {changes!r} is no table; use one like that of filter.set"
             )
-        robot = parameters.changed(self.filter_model, changes, where)
-        return self._believed(self.model(robot=robot))
+        side = self.believed[label]
+        robot = parameters.changed(side.robot, changes, where)
+        return self._with_noise(self.model(robot=robot, believed=side))
 
     def depends_on_time(self, label: str) -> bool:
         """Whether what the estimator of that label computes may depend on the time.
@@ -160,10 +178,11 @@ class Setup:
         estimator may always depend on the time.
         """
         estimator = registry.resolve(str(self.settings(label).get("type", label)))
+        side = self.believed[label]
         return bool(
             self.start(label).method != "prior"
-            or self.filter_disturbance.schedule is not None
-            or any(channel.scale is not None for channel in self.filter_channels)
+            or side.disturbance.schedule is not None
+            or any(channel.scale is not None for channel in side.channels)
             or any(c.measurand.depends_on_time(self.plant.model) for c in self.channels)
             or not estimator.__module__.startswith("estbench.")
             or depends_on_time(self.estimator(label))
@@ -179,13 +198,14 @@ class Setup:
             isinstance(table, dict)
             and {"type": label, **scenario.estimators[label]} == table
             and reference.is_ekf(table)
-            and (scenario.filter, scenario.start) == (FilterSection(), StartSection())
+            and scenario.start == StartSection()
+            and self.believed[label].section == FilterSection()
         )
 
     def settings(self, label: str) -> dict[str, Any]:
         """The estimator's own settings, without those of the event loop."""
         settings = self.scenario.estimators[label]
-        return {k: v for k, v in settings.items() if k not in ("delays", "start")}
+        return {k: v for k, v in settings.items() if k not in LOOP}
 
     def start(self, label: str) -> StartSection:
         """How the estimator of that label starts."""
@@ -202,22 +222,22 @@ class Setup:
 
     def delays(self, label: str) -> Delays:
         """How the estimator of that label handles late readings."""
-        section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
-        handling = self.scenario.estimators[label].get("delays", section.delays)
-        if handling not in ("exact", "naive"):
-            raise EstimatorError(f"{label}: delays is {handling!r}; use 'exact' or 'naive'")
+        section, timestep = self.believed[label].section, float(self.plant.model.opt.timestep)
         believed = {
             name: round(channel.latency / timestep)
             for name, channel in section.channels.items()
             if channel.latency is not None
         }
         nominal = frozenset(n for n, c in section.channels.items() if c.timestamps == "due")
-        return Delays(handling, self.window, believed, nominal)
+        return Delays(section.delays, self._window(section), believed, nominal)
 
     @property
     def window(self) -> int:
-        """The longest time that exact delay handling can go back, in physics steps."""
-        section, timestep = self.scenario.filter, float(self.plant.model.opt.timestep)
+        """The longest time that exact delay handling goes back by `[filter]`, in physics steps."""
+        return self._window(self.scenario.filter)
+
+    def _window(self, section: FilterSection) -> int:
+        timestep = float(self.plant.model.opt.timestep)
         if section.window is not None:
             return int(section.window / timestep + 1e-9)
         late = [c.timing.longest_delay for c in self.channels]
@@ -284,7 +304,7 @@ def build(scenario: Scenario) -> Setup:
     """
     scenario = reference.settled(scenario)
     section, belief = scenario.model, scenario.filter
-    spec, truth, believed = resolution.robots(scenario)
+    spec, truth = resolution.robot(scenario)
     space = layout.state_space(truth)
     duration = scenario.simulation.duration
     channels, notices = sensors.build(
@@ -316,8 +336,6 @@ def build(scenario: Scenario) -> Setup:
             f"consistency.burn_in is {burn_in:g} s, which leaves nothing of a run of {end:g} s; "
             "shorten it or raise simulation.duration"
         )
-    for dt in {round(i.end - i.start, 12) for i in instants}:
-        whole_steps(dt, believed.opt.timestep, "filter.timestep: an interval of")
     disturbance = resolution.disturbance(scenario.process_noise, truth, space, duration, notices)
     resolution.note_defaults(scenario, truth, notices)
     notices += flags.notes(spec)
@@ -328,33 +346,71 @@ def build(scenario: Scenario) -> Setup:
     setup = Setup(
         scenario=scenario,
         plant=plant,
-        filter_model=believed,
-        filter_channels=resolution.believed_channels(believed, channels, belief, duration),
         channels=tuple(channels),
         instants=tuple(instants),
         disturbance=disturbance,
-        filter_disturbance=disturbance.scaled(belief.process_noise_scale),
+        shared=believing.build(scenario, belief, truth, channels, instants, disturbance),
+        believed={},
         mean=mean,
         cov=cov,
         notices=tuple(notices),
         reference=_reference(scenario),
     )
+    for key, draw in scenario.truth.draw.items():
+        parameters.check_draw(truth, key, draw.relative_std, draw.std)
+    setup.controller([0])
+    return _with_estimators(setup)
+
+
+def variant(setup: Setup, scenario: Scenario) -> Setup:
+    """The experiment of a scenario whose truth and readings are those of another.
+
+    It shares the true robot, sensors and schedule, and costs no compilation of a model.
+
+    Args:
+        setup: of the other scenario.
+        scenario: differs from that of `setup` in `[filter]`, `[start]`, `[estimators]` and
+            `[consistency]` only.
+
+    Raises:
+        EstbenchError: as `build`.
+    """
+    truth, section = setup.plant.model, scenario.filter
+    shared = setup.shared
+    if section != setup.scenario.filter:
+        shared = believing.build(
+            scenario, section, truth, setup.channels, setup.instants, setup.disturbance,
+            like=setup.shared,
+        )  # fmt: skip
+    return _with_estimators(replace(setup, scenario=scenario, shared=shared))
+
+
+def _with_estimators(setup: Setup) -> Setup:
+    """The experiment with what each estimator of its scenario believes; all are checked."""
+    scenario, shared = setup.scenario, setup.shared
+    believed = {}
     for label in scenario.estimators:
         if label in RESERVED or not re.fullmatch(r"(?!__)\w[\w.+-]*", label):
             raise ScenarioError(
                 f"estimators: the label '{label}' cannot name a group of results; use letters, "
                 f"digits, '.', '-', '+' or '_', but not {', '.join(sorted(RESERVED))}"
             )
+        section = own.believed(scenario, label)
+        believed[label] = shared
+        if section != shared.section:
+            believed[label] = believing.build(
+                scenario, section, setup.plant.model, setup.channels, setup.instants,
+                setup.disturbance, f"estimators.{label}.filter", shared,
+            )  # fmt: skip
+    setup = replace(setup, believed=believed)
+    for label in scenario.estimators:
         estimator = setup.estimator(label)
         _check_lengths(setup, label, estimator)
         prior = setup.prior(label)
-        checked_prior(*(a[None] for a in prior), space)
-        try_estimator(label, estimator, setup.model(), prior, u0, instants[0])
-        setup.delays(label)
-    _check_window(setup)
-    for key, draw in scenario.truth.draw.items():
-        parameters.check_draw(truth, key, draw.relative_std, draw.std)
-    setup.controller([0])
+        checked_prior(*(a[None] for a in prior), setup.space)
+        model = setup.model(believed=believed[label])
+        try_estimator(label, estimator, model, prior, setup.plant.u0, setup.instants[0])
+        _check_window(setup, label)
     return setup
 
 
@@ -382,16 +438,16 @@ def _reference(scenario: Scenario) -> Setup | None:
     return setup
 
 
-def _check_window(setup: Setup) -> None:
+def _check_window(setup: Setup, label: str) -> None:
     """Refuse a latency that is longer than the window of exact handling."""
-    section, timestep = setup.scenario.filter, float(setup.plant.model.opt.timestep)
-    if section.window is None:
+    section, timestep = setup.believed[label].section, float(setup.plant.model.opt.timestep)
+    delays = setup.delays(label)
+    if section.window is None or delays.handling != "exact":
         return
-    exact = any(setup.delays(label).handling == "exact" for label in setup.scenario.estimators)
     for channel in setup.channels:
         belief = section.channels.get(channel.name, BelievedChannelSection())
         late = channel.timing.latency * timestep if belief.latency is None else belief.latency
-        if exact and late > setup.window * timestep + 1e-9:
+        if late > delays.window * timestep + 1e-9:
             raise ScenarioError(
                 f"filter.window is {section.window:g} s but channel '{channel.name}' is {late:g} s "
                 "late: it would never be fused; raise the window"

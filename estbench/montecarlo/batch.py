@@ -8,10 +8,9 @@ import numpy as np
 from estbench.bounds import scenario as bounds
 from estbench.consistency import records
 from estbench.experiment import setup
-from estbench.experiment.recording import blamed, driven, followed, recorded
+from estbench.experiment.recording import estimated, recorded
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
-from estbench.simulation.sources import Noting, Recorded
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""
@@ -100,21 +99,18 @@ def traced(
     if found is None and not own_truth:
         yield next(iter(prepared.scenario.estimators)), None
         return
+    truth, reference = found or (None, None)
     bound = None
-    if bounded and found is not None:
-        bound = bounds.bound_of_runs(prepared, runs, found[0], stop)
+    if bounded and truth is not None:
+        bound = bounds.bound_of_runs(prepared, runs, truth, stop)
     for label in prepared.scenario.estimators:
-        if found is None:
-            noting = Noting(driven(prepared, runs))
-            traces = followed(prepared, label, runs, noting, *keep)
-            if bounded and traces is not None:
-                bound = bounds.bound_of_runs(prepared, runs, noting.trajectory(), stop)
-        elif found[1] is not None and prepared.is_reference(label):
-            traces = found[1]
-        else:
-            source = Recorded(prepared.instants, found[0])
-            traces = followed(prepared, label, runs, source, *keep)
-            traces = traces and blamed(traces, found[0])
+        traces = None
+        if reference is not None and prepared.is_reference(label):
+            traces = reference
+        elif followed := estimated(prepared, label, runs, truth, *keep):
+            traces, own = followed
+            if bounded and truth is None:
+                bound = bounds.bound_of_runs(prepared, runs, own, stop)
         yield label, traces and replace(traces, bound=bound)
         if traces is None:
             return

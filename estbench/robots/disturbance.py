@@ -59,23 +59,20 @@ class Disturbance:
         kind: Kind,
         density: float | Sequence[float] | dict[str, float] = 0.0,
         matrix: Sequence[Sequence[float]] | None = None,
+        where: str = "process_noise",
     ) -> "Disturbance":
-        """From a diagonal `density` per name, or a full `matrix`.
+        """From a diagonal `density` per name, or a full `matrix`; `where` is for messages.
 
         Raises:
             DimensionError: wrong number of values.
             CovarianceError: a density is negative or the matrix not positive semidefinite.
         """
-        names = {
-            "additive": space.names,
-            "force": space.names[model.nv : 2 * model.nv],
-            "actuator": control_names(model),
-        }[kind]
+        names = axis_names(model, space, kind)
         if matrix is None:
-            values = expand(density, names, "process_noise.density")
+            values = expand(density, names, f"{where}.density")
             if (values < 0).any():
                 raise CovarianceError(
-                    f"process_noise.density is negative for {names[int(values.argmin())]}: "
+                    f"{where}.density is negative for {names[int(values.argmin())]}: "
                     f"{values.min():g}; a spectral density is at least 0"
                 )
             Q = np.diag(values)
@@ -83,11 +80,11 @@ class Disturbance:
             Q = np.asarray(matrix, dtype=np.float64)
             if Q.shape != (len(names), len(names)):
                 raise DimensionError(
-                    f"process_noise.matrix has shape {Q.shape}; expected "
+                    f"{where}.matrix has shape {Q.shape}; expected "
                     f"{(len(names), len(names))} for kind '{kind}' ({', '.join(names)})"
                 )
             if not is_positive_semidefinite(Q):
-                raise CovarianceError("process_noise.matrix is not symmetric positive semidefinite")
+                raise CovarianceError(f"{where}.matrix is not symmetric positive semidefinite")
         factor = eigen_root(Q)[0]
         return cls(kind, Q, factor[:, np.abs(factor).max(axis=0, initial=0.0) > 0])
 
@@ -225,3 +222,12 @@ class Disturbance:
         if self.kind == "force":
             return points, u, columns
         return points, u[:, None] + columns, None
+
+
+def axis_names(model: mujoco.MjModel, space: Manifold, kind: Kind) -> tuple[str, ...]:
+    """Names of the axes of Q_s: tangent coordinates, velocities or actuators."""
+    return {
+        "additive": space.names,
+        "force": space.names[model.nv : 2 * model.nv],
+        "actuator": tuple(control_names(model)),
+    }[kind]

@@ -60,7 +60,9 @@ class TruthSection(Section):
 class BelievedChannelSection(Section):
     """Parameters of a channel in which the filter's belief differs from the truth."""
 
-    noise: float | list[float] | None = Field(None, description="std per axis")
+    noise: PerName | None = Field(
+        None, description="std per axis; an axis that a table does not name has the true one"
+    )
     cov: list[list[float]] | None = Field(None, description="full R")
     latency: NonNegative | None = Field(None, description="s; default: readings have time stamps")
     timestamps: Literal["taken", "due"] = Field(
@@ -72,13 +74,34 @@ class BelievedChannelSection(Section):
     follow_schedule: bool = Field(True, description="whether the filter knows the true schedule")
 
 
+class BelievedNoiseSection(Section):
+    """The process noise that the filter assumes in place of the true one.
+
+    It follows the true schedule of factors. `filter.process_noise_scale` multiplies it.
+    """
+
+    kind: Literal["additive", "force", "actuator"] | None = Field(
+        None, description="default the true kind"
+    )
+    density: PerName | None = Field(
+        None,
+        description="diagonal of Q_s, as `process_noise.density`; an axis that a table does not "
+        "name has the true one, or none if the kind is another",
+    )
+    matrix: list[list[float]] | None = Field(None, description="full Q_s instead of density")
+
+
 class FilterSection(Section):
-    """Parameters in which the filter's model differs from the truth."""
+    """Parameters in which the filter's model differs from the truth.
+
+    An estimator's own `filter` overrides them key by key.
+    """
 
     path: str | None = Field(None, description="another MJCF with the same joints")
     timestep: Positive | None = None
     integrator: Literal["Euler", "RK4", "implicit", "implicitfast"] | None = None
     set: dict[str, float | list[float]] = Field(default_factory=dict)
+    process_noise: BelievedNoiseSection | None = Field(None, description="default the true one")
     process_noise_scale: Positive = Field(1.0, description="filter's Q over the true Q")
     measurement_noise_scale: Positive = Field(1.0, description="filter's R over the true R")
     channels: dict[str, BelievedChannelSection] = Field(default_factory=dict)

@@ -19,6 +19,7 @@ from estbench.sensors.imperfections import Imperfections
 from estbench.sensors.timing import MjcfTiming, Timing
 from estbench.shapes import Array, Float, Int
 from estbench.spaces.manifold import Manifold
+from estbench.spaces.patterns import expand
 
 _ADD = "add <sensor> elements, or [channels.NAME] add = {type = 'jointpos', object = 'JOINT'}"
 
@@ -221,7 +222,13 @@ def believed_covariance(channel: Channel, section: BelievedChannelSection) -> Fl
     """R as the filter believes it: that of `section`, else the true one."""
     if section.noise is None and section.cov is None:
         return channel.cov
-    given = ChannelSection(noise=section.noise, cov=section.cov)
+    std = section.noise
+    if isinstance(std, dict):
+        true = np.sqrt(np.diag(channel.cov))
+        axes = [name.removeprefix(f"{channel.name}.") for name in channel.space.names]
+        own = expand(std, axes, f"filter.channels.{channel.name}.noise", np.nan)
+        std = np.where(np.isnan(own), true, own).tolist()
+    given = ChannelSection(noise=std, cov=section.cov)
     where, none = f"filter.channels.{channel.name}", np.zeros(channel.space.n)
     return datasheet.covariance(given, where, channel.space, none, 1.0)[0]
 

@@ -195,10 +195,17 @@ def _sampling(timing: Timing) -> Iterator[str]:
         yield f"first reading at {1e3 * timing.first:.3g} ms"
 
 
+def _given(noise: float | list[float] | dict[str, float]) -> str:
+    """Numbers as the scenario gives them, those of a table with their names."""
+    if isinstance(noise, dict):
+        return ", ".join(f"{value:g} ({name})" for name, value in noise.items())
+    return numbers(np.atleast_1d(np.asarray(noise, float)))
+
+
 def _belief(channel: Channel, belief: BelievedChannelSection) -> Iterator[str]:
     """What the filter believes of a channel, where that differs from the truth."""
     if belief.noise is not None:
-        yield f"noise σ {numbers(np.atleast_1d(np.asarray(belief.noise, float)))}"
+        yield f"noise σ {_given(belief.noise)}"
     if belief.cov is not None:
         yield "another R"
     if belief.latency is not None:

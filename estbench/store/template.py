@@ -31,18 +31,7 @@ def declare(
         dtype: of the traces, `float64` or `float32`; averages are always float64.
     """
     space, seen = setup.space, readings(setup.channel_spaces)
-    sizes = {
-        "run": setup.scenario.simulation.runs,
-        "time": len(setup.times),
-        "batch": len(batches),
-        "channel": len(setup.channel_spaces),
-        "coordinate": space.n,
-        "coordinate_": space.n,
-        "state": space.nx,
-        "reading": len(seen),
-        "reading_": len(seen),
-        **SIZES,
-    }
+    sizes = {**lengths(setup), "batch": len(batches)}
     chunk = {**sizes, "run": len(batches[0]), "batch": 1}
     root.attrs.update(
         {**provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]), "dtype": dtype}
@@ -87,6 +76,22 @@ def declare(
         group(label, traces, dtype)
     if keep != "summary" and not live:
         group("truth", TRUTH, dtype)
+
+
+def lengths(setup: Setup) -> dict[str, int]:
+    """The length of every dimension of a store but `batch`."""
+    space, seen = setup.space, readings(setup.channel_spaces)
+    return {
+        "run": setup.scenario.simulation.runs,
+        "time": len(setup.times),
+        "channel": len(setup.channel_spaces),
+        "coordinate": space.n,
+        "coordinate_": space.n,
+        "state": space.nx,
+        "reading": len(seen),
+        "reading_": len(seen),
+        **SIZES,
+    }
 
 
 def provenance(scenario: Scenario) -> dict[str, Any]:

@@ -40,11 +40,11 @@ def test_the_model_reads_what_mujoco_reads_under_the_force(robot, kind):
     assert not model.sees_disturbance(["encoder"])
     x, u, d = np.array([[0.1, 0.4], [0.0, -1.0]]), np.zeros((2, 1)), np.array([[0.7], [-0.2]])
     y = model.disturbed_measurement(x, d, u, 0.0, ["accel"])
-    data = mujoco.MjData(prepared.filter_model)
+    data = mujoco.MjData(prepared.shared.robot)
     for row in range(2):
         data.qpos, data.qvel = x[row, :1], x[row, 1:]
         data.qfrc_applied, data.ctrl = (d[row], 0.0) if kind == "force" else (0.0, d[row])
-        mujoco.mj_forward(prepared.filter_model, data)
+        mujoco.mj_forward(prepared.shared.robot, data)
         np.testing.assert_allclose(y[row], data.sensor("accel").data, rtol=0, atol=1e-13)
     points = model.disturbed_measurement(x[:, None], d[:, None], u, 0.0, ["accel"])
     np.testing.assert_array_equal(points[:, 0], y)

@@ -12,26 +12,16 @@ from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.errors import EstbenchError, MissingExtraError, StoreError, did_you_mean
 from estbench.report.figures import data, innovations, palette, traces
 from estbench.report.figures.data import Steps, thin
+from estbench.report.figures.paper import WIDTHS, check_format, write
 from estbench.report.sources import Entry
 
 try:
-    import matplotlib
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 except ImportError:
     raise MissingExtraError("matplotlib", "plot") from None
 
-WIDTHS = {1: 3.5, 2: 7.16}
-"""Inches of one and of two columns (IEEE)."""
-FORMATS = ("png", "pdf", "svg")
-_STYLE: Any = {
-    "font.size": 8, "axes.titlesize": 8, "axes.labelsize": 8, "legend.fontsize": 7.5,
-    "xtick.labelsize": 7, "ytick.labelsize": 7, "axes.linewidth": 0.6, "lines.linewidth": 1.0,
-    "axes.grid": True, "grid.linewidth": 0.4, "grid.color": "#dddddd", "axes.axisbelow": True,
-    "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42,
-    "svg.hashsalt": "estbench", "axes.formatter.useoffset": False, "savefig.dpi": 200,
-}  # fmt: skip
 T = TypeVar("T")
 _NEED_TRACES = ("error", "histogram")
 
@@ -81,22 +71,14 @@ def plot(paper: Paper, what: str, path: Path) -> None:
         EstbenchError: the kind or format is unknown, or the figure needs traces and has none.
         StoreError: the file cannot be written.
     """
-    kind = path.suffix.lstrip(".").lower()
-    if kind not in FORMATS:
-        raise EstbenchError(f"--format '{kind}' is not known; use {', '.join(FORMATS)}")
+    check_format(path)
     if what not in KINDS:
         raise EstbenchError(f"--what '{what}' is not known{did_you_mean(what, KINDS)}")
     if what in _NEED_TRACES and not all(e.source.has_traces for e in paper.entries):
         raise StoreError(
             f"--what {what} needs traces, and this store kept none; run with --keep diagonal"
         )
-    with matplotlib.rc_context(_STYLE):
-        figure = KINDS[what](paper)
-        plain = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-        try:
-            figure.savefig(path, metadata=plain[kind])
-        except OSError as error:
-            raise StoreError(f"{path} cannot be written: {error.strerror}; choose -o") from None
+    write(lambda: KINDS[what](paper), path)
 
 
 def _figure(paper: Paper, rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:

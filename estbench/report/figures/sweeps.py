@@ -1,0 +1,213 @@
+"""Figures of a sweep: lines over one key, maps over two, small multiples over three."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estbench.errors import EstbenchError, MissingExtraError, did_you_mean
+from estbench.report.figures import palette
+from estbench.report.figures.paper import WIDTHS, write
+from estbench.shapes import Array
+from estbench.study.design import Study
+
+try:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.figure import Figure
+except ImportError:
+    raise MissingExtraError("matplotlib", "plot") from None
+
+DEFAULT = ("anees_over_n", "rmse")
+"""The statistics that are drawn, by their names in the Dataset."""
+TITLES = {"anees_over_n": "NEES/n", "rmse": "RMSE (geometric mean)", "anis_over_m": "NIS/m"}
+HEIGHT = 2.0
+"""Inches of one set of axes."""
+
+
+def draw(study: Study, found: xr.Dataset, path: Path, what: Sequence[str] = DEFAULT) -> None:
+    """Draw a sweep into a file; its suffix is the format.
+
+    One key: a line per estimator with intervals. Two: a map per estimator, the region in which the
+    verdict is consistent outlined. Three: such a map for each value of the last key. The points of
+    a design are drawn as points, the consistent ones with a ring.
+
+    Args:
+        study: the varied keys.
+        found: as `Findings.dataset` gives it.
+        path: the file.
+        what: names of statistics in `found`.
+
+    Raises:
+        EstbenchError: a statistic is unknown, or there are too many keys to draw.
+    """
+    for name in what:
+        if name not in found or name == "verdict":
+            known = [str(v) for v in found.data_vars if f"{v}_low" in found]
+            raise EstbenchError(f"--what '{name}' is not known{did_you_mean(name, known)}")
+    if len(study.axes) > 3 or (not study.grid and len(study.axes) > 2):
+        most = "three keys of a grid, or two of a design"
+        raise EstbenchError(
+            f"a figure shows at most {most}, got {len(study.axes)}; leave out --plot, and draw a "
+            "part of the Dataset"
+        )
+    kind = (_lines, _maps, _multiples)[len(study.axes) - 1]
+    write(lambda: kind(study, found, what), path)
+
+
+def _values(found: xr.Dataset, name: str, estimator: str) -> Array:
+    """A statistic `(..., 3)` as value, low, high; over coordinates the geometric mean."""
+    parts = [f"{name}{s}" if f"{name}{s}" in found else name for s in ("", "_low", "_high")]
+    arrays = [found[part].sel(estimator=estimator) for part in parts]
+    if "coordinate" in arrays[0].dims:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            arrays = [np.exp(xr.apply_ufunc(np.log, a).mean("coordinate")) for a in arrays]
+    return np.stack([np.asarray(a.values, np.float64) for a in arrays], axis=-1)
+
+
+def _numbers(study: Study, axis: int) -> tuple[Array, list[str] | None]:
+    """Places of the values on an axis, and their labels where they are no numbers."""
+    values = study.axes[axis].values
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        return np.asarray(values, np.float64), None
+    kinds = list(dict.fromkeys(map(str, values)))
+    return np.array([kinds.index(str(v)) for v in values], np.float64), kinds
+
+
+def _axis(axes: Axes, study: Study, index: int, which: str) -> None:
+    """Label and scale of one axis."""
+    axis, (_, kinds) = study.axes[index], _numbers(study, index)
+    getattr(axes, f"set_{which}label")(axis.key)
+    if axis.log:
+        getattr(axes, f"set_{which}scale")("log")
+    if kinds is not None:
+        getattr(axes, f"set_{which}ticks")(range(len(kinds)), kinds)
+
+
+def _lines(study: Study, found: xr.Dataset, what: Sequence[str]) -> Figure:
+    figure = Figure(figsize=(WIDTHS[1], HEIGHT * len(what) + 0.3), layout="constrained")
+    x, _ = _numbers(study, 0)
+    order = np.argsort(x, kind="stable")
+    for axes, name in zip(figure.subplots(len(what), 1, squeeze=False, sharex=True)[:, 0], what):
+        every = []
+        for i, label in enumerate(study.labels):
+            y = _values(found, name, label)[order]
+            sides = np.abs(y[:, 1:] - y[:, :1]).T
+            axes.errorbar(
+                x[order], y[:, 0], np.where(np.isfinite(sides), sides, 0.0), label=label,
+                color=palette.colour(i), ls=palette.LINES[i % len(palette.LINES)] if study.grid
+                else "none", marker=".", capsize=1.5, elinewidth=0.7,
+            )  # fmt: skip
+            every.append(y[:, 0])
+        _decorate(axes, study, name, np.concatenate(every))
+        _axis(axes, study, 0, "x")
+        if len(study.labels) > 1:
+            axes.legend(frameon=False)
+        axes.label_outer()
+    return figure
+
+
+def _decorate(axes: Axes, study: Study, name: str, values: Array) -> None:
+    """The name of a statistic, its scale, and for NEES/n the band of the verdict."""
+    axes.set_ylabel(TITLES.get(name, name))
+    finite = values[np.isfinite(values)]
+    if len(finite) and finite.min() > 0 and finite.max() > 5 * finite.min():
+        axes.set_yscale("log")
+    if name == "anees_over_n":
+        tolerance = study.scenario.consistency.tolerance
+        axes.axhspan(1 - tolerance, 1 + tolerance, color=palette.GREY, alpha=0.25, lw=0)
+
+
+def _maps(study: Study, found: xr.Dataset, what: Sequence[str]) -> Figure:
+    panels = [
+        [(name, label, found.sel(estimator=label), label) for label in study.labels]
+        for name in what
+    ]
+    return _panels(study, found, panels)
+
+
+def _multiples(study: Study, found: xr.Dataset, what: Sequence[str]) -> Figure:
+    last = study.axes[2]
+    panels = [
+        [
+            (what[0], label, found.isel({last.key: i}).sel(estimator=label),
+             f"{label}, {last.key} = {value:.3g}" if isinstance(value, float) else
+             f"{label}, {last.key} = {value}")
+            for i, value in enumerate(last.values)
+        ]
+        for label in study.labels
+    ]  # fmt: skip
+    return _panels(study, found, panels)
+
+
+def _panels(study: Study, found: xr.Dataset, panels: Sequence[Sequence[Any]]) -> Figure:
+    """Rows of maps; the maps of one row have one scale of colours."""
+    columns = len(panels[0])
+    width = WIDTHS[1] if columns == 1 else max(WIDTHS[2], 1.9 * columns)
+    figure = Figure(figsize=(width, (HEIGHT + 0.3) * len(panels) + 0.3), layout="constrained")
+    grid = figure.subplots(len(panels), columns, squeeze=False, sharex=True, sharey=True)
+    for axes, row in zip(grid, panels):
+        values = [
+            _values(part.expand_dims("estimator"), n, label)[..., 0] for n, label, part, _ in row
+        ]
+        norm = _norm(np.concatenate([v.ravel() for v in values]))
+        drawn: Any = None
+        for one, (_, _, part, title), z in zip(axes, row, values):
+            good = np.asarray(part["verdict"].values == "consistent")
+            drawn = _map(one, study, z, good, norm)
+            one.set_title(title)
+            _axis(one, study, 0, "x")
+            _axis(one, study, 1, "y")
+            one.label_outer()
+            one.grid(False)
+        figure.colorbar(drawn, ax=list(axes), label=TITLES.get(row[0][0], row[0][0]))
+    figure.supxlabel("outlined: the verdict is consistent", fontsize=7)
+    return figure
+
+
+def _norm(values: Array) -> Normalize:
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return Normalize(0, 1)
+    low, high = finite.min(), finite.max()
+    return LogNorm(low, high) if 0 < 5 * low < high else Normalize(low, high)
+
+
+def _map(axes: Axes, study: Study, z: Array, good: NDArray[np.bool_], norm: Normalize) -> Any:
+    """One map, or the points of a design."""
+    (x, _), (y, _) = _numbers(study, 0), _numbers(study, 1)
+    if not study.grid:
+        axes.scatter(x[good], y[good], s=60, facecolors="none", edgecolors="black", linewidths=1.0)
+        return axes.scatter(x, y, c=z, s=22, norm=norm, cmap="viridis")
+    edges = [_edges(v, study.axes[i].log) for i, v in enumerate((x, y))]
+    drawn = axes.pcolormesh(*edges, z.T, norm=norm, cmap="viridis")
+    _outline(axes, edges, good)
+    return drawn
+
+
+def _edges(values: Array, log: bool) -> Array:
+    """The edges between the cells of sorted or unsorted values, halfway."""
+    v = np.log(values) if log else values
+    if len(v) == 1:
+        out = np.array([v[0] - 0.5, v[0] + 0.5])
+    else:
+        middle = 0.5 * (v[1:] + v[:-1])
+        out = np.concatenate([[2 * v[0] - middle[0]], middle, [2 * v[-1] - middle[-1]]])
+    return np.exp(out) if log else out
+
+
+def _outline(axes: Axes, edges: Sequence[Array], good: NDArray[np.bool_]) -> None:
+    """Lines around the cells that are good."""
+    padded, (x, y) = np.pad(good, 1), edges
+    upright = np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1])
+    level = np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1])
+    lines = [[(x[i], y[j]), (x[i], y[j + 1])] for i, j in upright]
+    lines += [[(x[i], y[j]), (x[i + 1], y[j])] for i, j in level]
+    for colour, width in (("white", 3.0), ("black", 1.4)):
+        axes.add_collection(
+            LineCollection(lines, colors=colour, linewidths=width, capstyle="projecting")
+        )

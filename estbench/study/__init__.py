@@ -1,0 +1,1 @@
+"""Studies: variants of one scenario on common random numbers, which share truth where they may."""

@@ -1,0 +1,285 @@
+"""The store of a study: one zarr group whose variables have the varied keys as dimensions.
+
+A chunk is one group of variants, which share their truth, and one batch of runs. So two pieces
+never write one file, and a study that was killed is gone on with piece by piece: `done` of a piece
+is written last. The scenario and the varied keys stand beside it.
+"""
+
+import contextlib
+import json
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import Crc32cCodec
+
+from estbench.consistency.fields import Record
+from estbench.errors import StoreError
+from estbench.store import locks
+from estbench.store.template import provenance
+from estbench.store.zarr import SCENARIO, STORE
+from estbench.study.compute import Outcomes, Piece
+from estbench.study.design import Study
+from estbench.study.evaluation import KEPT, failed
+
+STUDY, FAILURES = "study.json", "failures"
+
+
+class StudyStore:
+    """The results folder of a study.
+
+    Made by `create`, or by `reopen` to resume one.
+
+    Attributes:
+        folder: its path.
+        batches: the runs of each batch.
+    """
+
+    def __init__(self, folder: Path, study: Study, sizes: Mapping[str, int], batch_size: int):
+        self.folder, self._study, self._sizes = folder, study, dict(sizes)
+        runs = study.scenario.simulation.runs
+        self.batches = [range(i, min(i + batch_size, runs)) for i in range(0, runs, batch_size)]
+        self._root = zarr.open_group(str(folder / STORE), mode="r+", zarr_format=3)
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            self._arrays: dict[str, Any] = {name: self._root[name] for name in (*KEPT, "done")}
+
+    @classmethod
+    def create(
+        cls,
+        folder: Path,
+        study: Study,
+        sizes: Mapping[str, int],
+        coordinates: Mapping[str, Sequence[str]],
+        batch_size: int,
+    ) -> "StudyStore":
+        """Make the folder with an empty store, completely or not at all.
+
+        Raises:
+            StoreError: the folder exists or cannot be written.
+        """
+        if folder.exists():
+            raise StoreError(
+                f"{folder} exists; choose another --out, remove it, or go on with --resume"
+            )
+        draft = locks.draft(folder)
+        try:
+            with locks.building(draft):
+                (draft / SCENARIO).write_text(study.scenario.to_toml(), encoding="utf-8")
+                about = describe(study) | {"batch_size": batch_size, "sizes": dict(sizes)}
+                (draft / STUDY).write_text(json.dumps(about, indent=1), encoding="utf-8")
+                (draft / FAILURES).mkdir()
+                _declare(draft / STORE, study, sizes, coordinates, batch_size)
+                draft.rename(folder)
+        except OSError as error:
+            raise StoreError(
+                f"{folder} cannot be written: {error.strerror or error}; choose another --out"
+            ) from None
+        return cls(folder, study, sizes, batch_size)
+
+    @classmethod
+    def reopen(cls, folder: Path, study: Study) -> "StudyStore":
+        """Open a store to go on with it.
+
+        Raises:
+            StoreError: it is no store, or of another study.
+        """
+        about = read_about(folder)
+        was = {k: about.get(k) for k in describe(study)}
+        if was != json.loads(json.dumps(describe(study))):
+            raise StoreError(
+                f"{folder} is of another study: its keys, values or scenario differ; choose "
+                "another --out"
+            )
+        return cls(folder, study, about["sizes"], int(about["batch_size"]))
+
+    @contextmanager
+    def lock(self, shard: locks.Shard | None = None) -> Iterator[None]:
+        """Lock the store, or one share of it.
+
+        Raises:
+            StoreError: another process holds it.
+        """
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locks.held(self.folder, shard))
+            except BlockingIOError:
+                raise StoreError(
+                    f"another process is writing to {self.folder}; wait for it, or use --shard"
+                ) from None
+            yield
+
+    def write(self, piece: Piece, outcomes: Outcomes) -> None:
+        """Write one piece, and mark it as done last.
+
+        Raises:
+            StoreError: the store was deleted, or the disk is full.
+        """
+        group, batch = piece
+        runs = self.batches[batch]
+        where = self._where(piece)
+        labels = self._study.labels
+        shape = (*self._study.groups[group].shape, len(labels))
+        try:
+            reasons = [
+                [i, label, o]
+                for i, by_label in enumerate(outcomes)
+                for label, o in by_label.items()
+                if isinstance(o, str)
+            ]
+            if reasons:
+                self._failure_file(piece).write_text(json.dumps(reasons), encoding="utf-8")
+            blank = failed(self._sizes, len(runs))
+            rows = [
+                blank if isinstance(o := by_label[label], str) else o
+                for by_label in outcomes
+                for label in labels
+            ]
+            for name in KEPT:
+                stacked = np.stack([row[name] for row in rows])
+                self._arrays[name][where] = stacked.reshape(*shape, *stacked.shape[1:])
+            self._arrays["done"][where] = np.ones((*shape, len(runs)), dtype=bool)
+        except OSError as error:
+            raise StoreError(
+                f"{self.folder} cannot be written: {error.strerror or error}; what is finished is "
+                "kept there, free the disk and --resume"
+            ) from None
+
+    def finished(self, piece: Piece) -> bool:
+        """Whether a piece is marked as done and can be read."""
+        try:
+            return bool(np.asarray(self._arrays["done"][self._where(piece)]).all())
+        except (OSError, ValueError, RuntimeError):
+            return False
+
+    def read(self, piece: Piece) -> Outcomes | None:
+        """A finished piece; None where a chunk of it is damaged."""
+        where, labels = self._where(piece), self._study.labels
+        count = self._study.groups[piece[0]].size
+        try:
+            found = {
+                name: np.asarray(self._arrays[name][where]).reshape(
+                    count, len(labels), len(self.batches[piece[1]]),
+                    *(self._sizes[d] for d in KEPT[name].dims[1:]),
+                )
+                for name in KEPT
+            }  # fmt: skip
+            file = self._failure_file(piece)
+            reasons = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
+        except (OSError, ValueError, RuntimeError):
+            return None
+        out: list[dict[str, Record | str]] = [
+            {label: {n: v[i, j] for n, v in found.items()} for j, label in enumerate(labels)}
+            for i in range(count)
+        ]
+        for i, label, reason in reasons:
+            out[i][label] = reason
+        return out
+
+    def close(self) -> None:
+        """Consolidate the metadata, so that the store opens by reading one file."""
+        with locks.briefly(self.folder), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # zarr: not yet in the standard
+            zarr.consolidate_metadata(str(self.folder / STORE))
+
+    def _failure_file(self, piece: Piece) -> Path:
+        return self.folder / FAILURES / f"{piece[0]}-{piece[1]}.json"
+
+    def _where(self, piece: Piece) -> tuple[slice, ...]:
+        """The block of a piece in every array."""
+        group = self._study.groups[piece[0]]
+        start = np.unravel_index(int(group.flat[0]), self._study.shape)
+        block = tuple(slice(int(a), int(a) + n) for a, n in zip(start, group.shape))
+        runs = self.batches[piece[1]]
+        return (*block, slice(None), slice(runs.start, runs.stop))
+
+
+def describe(study: Study) -> dict[str, Any]:
+    """What makes two studies the same."""
+    return {
+        "axes": [{"key": list(a.names), "values": list(a.values)} for a in study.axes],
+        "grid": study.grid,
+        "scenario": study.scenario.to_toml(),
+    }
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """The description of the study in a folder.
+
+    Raises:
+        StoreError: there is none.
+    """
+    try:
+        return json.loads((folder / STUDY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise StoreError(
+            f"{folder} holds no {STUDY}; name a folder that `estbench sweep` wrote"
+        ) from None
+
+
+def open_study(folder: str | os.PathLike[str]) -> xr.Dataset:
+    """Open the store of a study: variables (varied keys, estimator, run, ...).
+
+    Raises:
+        StoreError: there is no such store.
+    """
+    path = Path(folder)
+    read_about(path)
+    with warnings.catch_warnings():  # a store that was never closed opens, only slowly
+        warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)
+        return xr.open_zarr(path / STORE, consolidated=None)
+
+
+def coordinate(values: Sequence[Any]) -> NDArray[Any]:
+    """The values of a key as a coordinate: numbers, or their text."""
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    return np.array(values, float) if numeric else np.array([str(v) for v in values], object)
+
+
+def _declare(
+    path: Path,
+    study: Study,
+    sizes: Mapping[str, int],
+    coordinates: Mapping[str, Sequence[str]],
+    batch_size: int,
+) -> None:
+    """Declare every array: one chunk per group of variants and batch of runs."""
+    root = zarr.open_group(str(path), mode="w-", zarr_format=3)
+    root.attrs.update(provenance(study.scenario))
+    lengths = {**sizes, "run": study.scenario.simulation.runs}
+    labelled: dict[str, tuple[str, NDArray[Any]]] = {
+        "estimator": ("estimator", coordinate(study.labels)),
+        **{name: (name, coordinate(values)) for name, values in coordinates.items()},
+        "run": ("run", np.arange(lengths["run"])),
+    }
+    for axis in study.axes:
+        labelled[axis.key] = (axis.key if study.grid else study.dims[0], coordinate(axis.values))
+    for name, (dim, values) in labelled.items():
+        array = root.create_array(
+            name, shape=values.shape, dimension_names=(dim,),
+            dtype=str if values.dtype == object else values.dtype,  # type: ignore[arg-type]
+        )  # fmt: skip
+        array[:] = values
+    block = study.groups[0].shape
+    head = (*study.dims, "estimator")
+    for name in (*KEPT, "done"):
+        field = KEPT.get(name)
+        tail = ("run",) if field is None else field.dims
+        inner = tuple(lengths[d] for d in tail[1:])
+        array = root.create_array(
+            name,
+            shape=(*study.shape, len(study.labels), lengths["run"], *inner),
+            chunks=(*block, len(study.labels), batch_size, *inner),
+            dtype="bool" if field is None else field.dtype.replace("?", "bool"),
+            dimension_names=(*head, *tail),
+            fill_value=np.nan if field is not None and field.dtype.startswith("f") else 0,
+            compressors=Crc32cCodec(),
+        )
+        if field is not None:
+            array.attrs["meaning"] = field.meaning
