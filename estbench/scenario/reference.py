@@ -72,6 +72,8 @@ def _table(name: str | None, tables: Tables) -> dict[str, Any]:
     exact = (
         table
         for table in typed.values()
-        if is_ekf(table) and table.get("delays", "exact") == "exact" and "start" not in table
+        if is_ekf(table)
+        and table.get("delays", "exact") == "exact"
+        and not {"start", "filter"} & table.keys()
     )
     return next(exact, {"type": "ekf"})
