@@ -15,19 +15,12 @@ from estbench.envs.errors import EnvError
 from estbench.errors import ScenarioError
 from estbench.robots import added_sensors, mjcf
 from estbench.robots.flags import set_flags
-from estbench.robots.layout import object_name
 from estbench.robots.library import engine
 from estbench.robots.model import Scale, SensorChannel
 from estbench.robots.parameters import SETTINGS
 from estbench.sensors import channel as channels_of
+from estbench.sensors import kit
 from estbench.sensors.channel import Channel
-
-# MuJoCo attaches these to a site only.
-_AT_SITES = (
-    "gyro", "accelerometer", "velocimeter", "magnetometer", "force", "torque", "touch",
-    "rangefinder",
-)  # fmt: skip
-
 
 _BAD_STATE = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")
@@ -91,7 +84,7 @@ def adopt(
         ScenarioError: a sensor names nothing in the model, or a setting is wrong.
     """
     model, _ = mujoco_parts(env)
-    sections, use, notices = kits.sections(sensors, model)
+    sections, use, assumed_kit = kits.sections(sensors, model)
     # The environment is exact about its sensors, but R must be positive definite: a channel
     # declared without noise is read without noise, and trusted as much as a usual one.
     exact = frozenset(name for name, s in sections.items() if s.noise == 0.0)
@@ -111,8 +104,8 @@ def adopt(
                 f"after {first}, falls inside a step of the environment ({frame_skip}); use a rate "
                 f"of {rate:g} Hz over a whole number"
             )
-    if notices:  # the default sensors: one line says it all
-        assumed = [f"{notices[0]} {kits.summary(channels)}"]
+    if assumed_kit:
+        assumed.append(f"no sensors given and none in the model; using {kit.summary(channels)}")
     believed = [SensorChannel(c.name, -1, c.cov, _scale(c), c.measurand) for c in channels]
     true = [
         replace(c, cov=np.zeros_like(c.cov), schedule=None) if c.name in exact else c
@@ -153,17 +146,11 @@ def _file(env: Any, xml: str | Path | None) -> str:
 
 def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) -> mujoco.MjModel:
     """Compile the MJCF with sensors, then give it every parameter of the environment's model."""
-    entries = {name: _at_site(add) for name, add in added.items()}
     _check_objects(model, added)
     spec = mjcf.read(path)
     # What the compiler has to say of this MJCF it said when the environment was made.
     with warnings.catch_warnings(action="ignore", category=UserWarning), engine():
-        _name_everything(spec)
-        for site, body in {
-            (e.object, a.object) for e, a in zip(entries.values(), added.values()) if e is not a
-        }:
-            spec.body(body).add_site(name=site)
-        added_sensors.add(spec, entries, Path(path).name, "sensors.{}")
+        added_sensors.add(spec, added, Path(path).name, "sensors.{}")
         compiled = mjcf.compile_model(spec, where="sensors")
     for size in ("nq", "nv", "na", "nu", "nbody", "ngeom", "njnt"):
         if getattr(compiled, size) != getattr(model, size):
@@ -174,16 +161,6 @@ def _with_sensors(model: mujoco.MjModel, added: Mapping[str, Any], path: str) ->
             )
     _copy_parameters(model, compiled)
     return compiled
-
-
-def _name_everything(spec: mujoco.MjSpec) -> None:
-    """Give joints and bodies without a name the one estbench calls them by."""
-    if all(element.name for element in (*spec.joints, *spec.bodies)):
-        return
-    spec.compile()  # their numbers are known after it
-    for elements, prefix in ((spec.joints, "joint"), (spec.bodies, "body")):
-        for element in elements:
-            element.name = element.name or f"{prefix}{element.id}"
 
 
 def _bare_copy(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -218,18 +195,8 @@ def _copy_parameters(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
     set_flags(target)
 
 
-def _at_site(add: Any) -> Any:
-    """A sensor that needs a site, asked for at a body: at a site to be made at its origin."""
-    if add.type in _AT_SITES and add.object_type in ("body", "xbody"):
-        return add.model_copy(update={"object": f"estbench:{add.object}", "object_type": "site"})
-    return add
-
-
 def _check_objects(model: mujoco.MjModel, sensors: Mapping[str, Any]) -> None:
     """Raise where a sensor is to be added at a joint, body or site that is not there."""
-    names = {}
-    for kind, count in (("joint", model.njnt), ("body", model.nbody), ("site", model.nsite)):
-        enum = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-        names[kind] = [object_name(model, enum, i, kind) for i in range(count)]
+    names = {kind: added_sensors.object_names(model, kind) for kind in ("joint", "body", "site")}
     for name, sensor in sensors.items():
         added_sensors.check_object(sensor, names, f"sensors.{name}.object")

@@ -1,11 +1,13 @@
 """From the sections of a scenario to objects: robots, noise, initial belief, channels, notices."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
+from estbench.robots import added_sensors as adding
 from estbench.robots import layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import (
@@ -16,6 +18,7 @@ from estbench.scenario.schema import (
 )
 from estbench.sensors import datasheet, schedules
 from estbench.sensors.channel import Channel
+from estbench.sensors.declared import expanded, is_open, lacks_sensors, names_expanded, usual
 from estbench.sensors.timing import Instant, MjcfTiming
 from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
@@ -24,14 +27,59 @@ from estbench.spaces.patterns import expand
 DEFAULT_DENSITY = 0.01
 
 
-def robot(scenario: Scenario) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """The robot's MJCF specification, and the true model.
+def declared(scenario: Scenario, spec: mujoco.MjSpec) -> tuple[Scenario, frozenset[str]]:
+    """The scenario with each sensor at one object, and the channels that it does not declare.
+
+    A robot without any sensor gets those of `kit.default`; an entry for many objects becomes one
+    for each, in `channels`, `filter.channels` and `sensors`.
+
+    Raises:
+        ScenarioError: an entry fits no object, or the MJCF does not compile.
+    """
+    given, use = scenario.channels, scenario.sensors
+    lacking = lacks_sensors(len(spec.sensors), given, use)
+    if not lacking and not any(s.add and is_open(s.add) for s in given.values()):
+        return scenario, frozenset()
+    model = mjcf.compile_model(spec)
+    if lacking:
+        made = usual(model, given)
+        return scenario.model_copy(update={"channels": made}), frozenset(made) - frozenset(given)
+    channels, several = expanded(model, given, "channels.{}.add.object")
+    believed = _each(scenario.filter.channels, several)
+    changed = {
+        "estimators": _renamed(scenario.estimators, several),
+        "channels": channels,
+        "sensors": None if use is None else names_expanded(use, several),
+        "filter": scenario.filter.model_copy(update={"channels": believed}),
+    }
+    return scenario.model_copy(update=changed), frozenset()
+
+
+def _each(table: Mapping[str, Any], several: Mapping[str, list[str]]) -> dict[str, Any]:
+    """A table per channel, with the channels of an entry for many objects in its place."""
+    return {name: value for key, value in table.items() for name in several.get(key, [key])}
+
+
+def _renamed(
+    estimators: Mapping[str, dict[str, Any]], several: Mapping[str, list[str]]
+) -> dict[str, dict[str, Any]]:
+    """The tables of the estimators; their own `filter.channels` name the channels of `several`."""
+    out = dict(estimators)
+    for label, table in estimators.items():
+        own = table.get("filter")
+        if isinstance(own, dict) and isinstance(own.get("channels"), dict):
+            out[label] = {**table, "filter": {**own, "channels": _each(own["channels"], several)}}
+    return out
+
+
+def robot(scenario: Scenario, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """The robot's MJCF specification with added sensors, and the true model.
 
     Raises:
         ScenarioError: the model cannot be compiled, or has no state.
     """
     section = scenario.model
-    spec = mjcf.read(section.path, added_sensors(scenario))
+    adding.add(spec, added_sensors(scenario), mjcf.locate(section.path).name)
     truth = mjcf.compile_model(
         spec,
         timestep=section.timestep,

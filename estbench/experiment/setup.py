@@ -39,7 +39,7 @@ from estbench.scenario.schema import (
     StartSection,
 )
 from estbench.sensors import channel as sensors
-from estbench.sensors import timing
+from estbench.sensors import kit, timing
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import sight
 from estbench.sensors.timing import Instant, Schedule
@@ -303,8 +303,10 @@ def build(scenario: Scenario) -> Setup:
             the scenario is wrong; raised before the simulation.
     """
     scenario = reference.settled(scenario)
+    spec = mjcf.read(scenario.model.path)
+    scenario, undeclared = resolution.declared(scenario, spec)
     section, belief = scenario.model, scenario.filter
-    spec, truth = resolution.robot(scenario)
+    spec, truth = resolution.robot(scenario, spec)
     space = layout.state_space(truth)
     duration = scenario.simulation.duration
     channels, notices = sensors.build(
@@ -316,6 +318,9 @@ def build(scenario: Scenario) -> Setup:
         resolution.mjcf_timings(spec, truth),
         belief.channels,
     )
+    if undeclared:
+        used = kit.summary([c for c in channels if c.name in undeclared])
+        notices.append(f"no sensor declared; using {used} (sensors = [] for none)")
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
     truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)

@@ -20,6 +20,15 @@ _OBJECTS = {
     "actuator": "actuator",
     "subtree": "body",
 }
+# Types that MuJoCo attaches to a site only.
+_AT_SITES = (
+    "gyro", "accelerometer", "velocimeter", "magnetometer", "force", "torque", "touch",
+    "rangefinder",
+)  # fmt: skip
+_COUNTS = {
+    "joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom", "camera": "ncam",
+    "tendon": "ntendon", "actuator": "nactuator",
+}  # fmt: skip
 # Types without an object, or with one of any kind.
 _FREE = ("clock", "e_potential", "e_kinetic", "user", "plugin")
 
@@ -28,6 +37,51 @@ def object_kind(sensor: Any) -> str:
     """Kind of the object that a sensor (see `sections.AddSensor`) is attached to."""
     guess = (o for prefix, o in _OBJECTS.items() if sensor.type.startswith(prefix))
     return sensor.object_type or next(guess, "site")
+
+
+def object_names(model: mujoco.MjModel, kind: str) -> list[str]:
+    """Names of the objects of a kind in their order; `joint3` for one without a name.
+
+    Raises:
+        ScenarioError: no such kind.
+    """
+    if kind not in _COUNTS:
+        hint = did_you_mean(kind, _COUNTS) or f"; use {', '.join(_COUNTS)}"
+        raise ScenarioError(f"no object type '{kind}' that has several objects{hint}")
+    enum = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+    count = getattr(model, _COUNTS[kind])
+    return _named([mujoco.mj_id2name(model, enum, i) or "" for i in range(count)], kind)
+
+
+def _named(names: Sequence[str], kind: str) -> list[str]:
+    """The names, with kind and index for each empty one; `_` is appended to a name in use."""
+    taken, out = set(names), []
+    for index, given in enumerate(names):
+        name = given or f"{kind}{index}"
+        while not given and name in taken:
+            name += "_"
+        out.append(name)
+    return out
+
+
+def name_objects(spec: mujoco.MjSpec) -> None:
+    """Give the objects without a name the one of `object_names`.
+
+    Raises:
+        ValueError: the description does not compile.
+    """
+    listed = {
+        "joint": spec.joints, "body": spec.bodies, "site": spec.sites, "geom": spec.geoms,
+        "camera": spec.cameras, "tendon": spec.tendons, "actuator": spec.actuators,
+    }  # fmt: skip
+    if all(element.name for elements in listed.values() for element in elements):
+        return
+    spec.compile()  # their order is known after it
+    for kind, elements in listed.items():
+        ordered = sorted(elements, key=lambda element: element.id)
+        for element, name in zip(ordered, _named([e.name for e in ordered], kind)):
+            if not element.name:
+                element.name = name
 
 
 def check_object(
@@ -70,6 +124,9 @@ def add(
     Raises:
         ScenarioError: a sensor's type or object is unknown, or its name is taken.
     """
+    if not sensors:
+        return
+    name_objects(spec)
     declared = [sensor.name for sensor in spec.sensors]
     names = {
         "joint": [joint.name for joint in spec.joints],
@@ -94,4 +151,14 @@ def add(
             )
         check_object(sensor, names, f"{here}.object", robot)
         attached = {"objtype": objtype, "objname": sensor.object} if sensor.object else {}
+        if sensor.type in _AT_SITES and kind in ("body", "xbody"):
+            attached = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": _site(spec, sensor.object)}
         spec.add_sensor(name=name, type=SENSOR_TYPES[sensor.type], **attached)
+
+
+def _site(spec: mujoco.MjSpec, body: str) -> str:
+    """Name of a site at the origin of a body, made on first use."""
+    name = f"estbench:{body}"
+    if spec.site(name) is None:
+        spec.body(body).add_site(name=name)
+    return name

@@ -169,7 +169,11 @@ class AddSensor(Section):
     """A MuJoCo sensor that is added to the model without a change of its XML."""
 
     type: str = Field(description="MJCF element name, e.g. jointpos, gyro, framepos")
-    object: str = Field("", description="name of the joint, site, body, ... it is attached to")
+    object: str | int | list[str | int] = Field(
+        "",
+        description="name or index of the joint, site, body, ... it is attached to; a glob pattern "
+        "or a list adds one channel OBJECT_NAME for each",
+    )
     object_type: str | None = Field(None, description="joint, site, body, geom, ...; guessed")
 
 

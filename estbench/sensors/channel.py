@@ -119,6 +119,7 @@ def build(
     """
     names = [layout.sensor_name(model, i) for i in range(model.nsensor)]
     channels, notices = [], _unused(sections, use)
+    noiseless: dict[str, list[str]] = {}
     for name in _in_use(names, sections, use):
         section, where = sections.get(name, ChannelSection()), f"channels.{name}"
         measurand, kind = measurands.build(name, section, model, names)
@@ -143,7 +144,7 @@ def build(
             described = dict.fromkeys(
                 f"{s:g} {unit}" for s, unit in zip(assumed, measurand.space.units) if s
             )
-            notices.append(f"{name}: no noise given; assuming {', '.join(described)}")
+            noiseless.setdefault(", ".join(described), []).append(name)
         cutoff = _per_axis(model, measurand, mjcf_cutoff(model), np.inf)
         imperfections = datasheet.imperfections(section, where, measurand.space, cutoff)
         read = tuple(names[i] for i in measurand.sensors)
@@ -159,7 +160,25 @@ def build(
         )
     if not channels:
         raise ScenarioError(f"no sensor: the MJCF declares none in use; {_ADD}")
-    return channels, notices
+    return channels, notices + _assumed(noiseless)
+
+
+def _assumed(noiseless: Mapping[str, Sequence[str]]) -> list[str]:
+    """One notice for all channels of which nobody gives the noise: assumed noise -> channels."""
+    if not noiseless:
+        return []
+    if len(noiseless) == 1:
+        ((noise, names),) = noiseless.items()
+        return [f"{_listed(names)}: no noise given; assuming {noise}"]
+    parts = [f"{noise} ({_listed(names)})" for noise, names in noiseless.items()]
+    return [f"no noise given; assuming {', '.join(parts)}"]
+
+
+def _listed(names: Sequence[str], most: int = 4) -> str:
+    """`a, b, c and 62 more`."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
 
 
 def _in_use(

@@ -384,7 +384,10 @@ BAD = {
         ("run", "robot.xml", "--set", "control={kind='csv', path='u.csv'}"),
         "u.csv' has 3 columns; expected 2",
     ),
-    "blind": (("run", "blind.xml"), "no sensor: the MJCF declares none in use; add"),
+    "blind": (
+        ("run", "blind.xml", "--set", "sensors=[]"),
+        "no sensor: the MJCF declares none in use; add",
+    ),
     "no sensor": (("run", "cartpole", "--set", "sensors=[]"), "no sensor: "),
     "sensor": (
         ("run", "cartpole", "--set", 'sensors=["pole_encode"]'),
