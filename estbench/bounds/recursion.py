@@ -104,10 +104,11 @@ class Variations:
         bound depends on the runs through this mean only, and its standard error is that of a mean.
         NaN for a run that does not count.
         """
-        T = self.factor
+        T, out = self.factor, np.full((len(self.counts), self.xi.shape[1]), np.nan)
+        if not self.counts.any():
+            return out
         if self.expected is not None:
             T = self._weights().T @ T
-        out = np.full((len(self.counts), self.xi.shape[1]), np.nan)
         out[self.counts] = ((2.0 * self.xi - T @ self.cost) * T).sum(axis=-1)
         return out
 
@@ -280,7 +281,7 @@ def _counted(before: Variations, now: Step) -> tuple[Variations, Step]:
     factor = before.factor[rows] if before.factor.ndim == 3 else before.factor
     left = Variations(
         before.xi[rows], before.cost[rows],
-        factor if counts.any() else np.full_like(before.factor[..., :, :], np.nan),
+        factor if counts.any() or factor.ndim == 3 else np.full_like(factor, np.nan),
         {key: M[rows] for key, M in before.waiting.items()},
         None if before.expected is None else {k: M[rows] for k, M in before.expected.items()},
         counts,

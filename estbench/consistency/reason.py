@@ -25,7 +25,7 @@ STANDS_OUT = 1.25
 
 def reason(
     j: Judgement, names: Sequence[str], channels: Sequence[str], blocks: Sequence[Block],
-    tolerance: float = 0.1,
+    tolerance: float = 0.1, failed_at: float = 0.0,
 ) -> str:  # fmt: skip
     """One line, such as `overconfident: pole.vel, 2.1 x its variance, from 0.0 to 0.4 s`.
 
@@ -35,6 +35,7 @@ def reason(
         channels: their names.
         blocks: of time.
         tolerance: of the judgement.
+        failed_at: when the simulation of a truth failed first, s.
     """
     clauses = [
         _clause("overconfident", _size(j, True, names, blocks)),
@@ -45,10 +46,19 @@ def reason(
         _clause("correlated innovations", _whiteness(j)),
     ]
     said = [c for c in clauses if c][:MOST]
+    of = j.lost + j.runs + j.copies
     if j.lost:
-        of = j.lost + j.runs + j.copies
         lost = f"{j.lost} of {of} runs diverged ({j.lost / of:.1%})"
         said = [lost, *said] if j.verdict is Verdict.DIVERGING else [*said, lost]
+    if j.failed:
+        failed = (
+            f"the simulation of the truth failed in {j.failed} of {of + j.failed} runs, first at "
+            f"{failed_at:g} s (MuJoCo: BADQPOS, BADQVEL or BADQACC)"
+        )
+        if j.verdict is Verdict.SIMULATION_FAILED:
+            said = [f"{failed}; use a smaller model.timestep, process noise or initial.std", *said]
+        else:
+            said.append(failed)
     if j.verdict is Verdict.UNDECIDED:
         said.insert(0, _undecided(j, names, blocks, tolerance))
     if j.copies:

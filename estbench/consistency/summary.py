@@ -44,6 +44,7 @@ def summarize(
         for s in statistics.STATISTICS
     }
     judgement = judge(record, section.level, section.tolerance)
+    failed_at = float(times[max(judgement.failed_step, 0)])
     parts = blocks(times, section.burn_in)
     failures = (
         Failure(int(runs[i]), float(times[record["fault_step"][i]]), Fault(record["fault"][i]).text)
@@ -53,7 +54,7 @@ def summarize(
         label=label,
         runs=len(runs),
         judgement=judgement,
-        reason=reason(judgement, names, channels, parts, section.tolerance),
+        reason=reason(judgement, names, channels, parts, section.tolerance, failed_at),
         failures=tuple(failures),
         late=int(record["late"].sum()),
         gated=_gated(record),

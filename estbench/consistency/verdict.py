@@ -19,10 +19,12 @@ from estbench.consistency.hypotheses import (
     family,
 )
 from estbench.consistency.intervals import normal_quantile
+from estbench.estimators.beliefs import Fault
 from estbench.shapes import Int, Ints
 
 MOST_LOST = 0.05
-"""A larger share of diverged runs is `diverging`, whatever the other runs are."""
+"""A larger share of diverged runs is `diverging`, whatever the other runs are; a larger share of
+runs whose truth could not be simulated is `simulation failed`."""
 FEW_LOST = 0.01
 """With a larger share no filter is consistent."""
 PART = 2.0
@@ -40,6 +42,7 @@ class Verdict(StrEnum):
     CONSERVATIVE = "conservative"
     CORRELATED = "correlated"
     DIVERGING = "diverging"
+    SIMULATION_FAILED = "simulation failed"
     UNDECIDED = "undecided"
 
 
@@ -55,7 +58,10 @@ class Judgement:
         needed: runs that would decide the open ones if the estimates stayed as they are; None where
             nothing is open or no number can be given.
         runs: that are tested: diverged ones and copies of other runs are left out.
-        lost: how many runs diverged.
+        lost: how many runs diverged while their truth went on.
+        failed: how many runs ended because the simulation of the truth failed; they say nothing
+            about the estimator.
+        failed_step: the first instant at which it failed, -1 for none.
         copies: how many runs are equal to another one in every number.
         lacking: kinds that could not be tested, since the store is of an earlier version.
     """
@@ -67,6 +73,8 @@ class Judgement:
     needed: int | None
     runs: int
     lost: int
+    failed: int
+    failed_step: int
     copies: int
     lacking: tuple[Kind, ...]
 
@@ -94,9 +102,12 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
     hypotheses = family(record, tested, level)
     refuted = tuple(h for h in hypotheses if is_refuted(h, level, tolerance))
     unshown = tuple(h for h in hypotheses if h not in refuted and not is_shown(h, tolerance))
-    lost = int(diverged.sum())
-    share = lost / max(len(diverged), 1)
-    verdict = _word(refuted, unshown, len(chosen), share)
+    failed = diverged & (record["fault"] == Fault.TRUTH)
+    judged, lost = int((~failed).sum()), int((diverged & ~failed).sum())
+    if failed.sum() > MOST_LOST * len(failed):
+        verdict = Verdict.SIMULATION_FAILED
+    else:
+        verdict = _word(refuted, unshown, len(chosen), lost / max(judged, 1))
     return Judgement(
         verdict=verdict,
         hypotheses=hypotheses,
@@ -105,6 +116,8 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
         needed=_needed(unshown, level, tolerance) if verdict is Verdict.UNDECIDED else None,
         runs=len(chosen),
         lost=lost,
+        failed=int(failed.sum()),
+        failed_step=int(record["fault_step"][failed].min()) if failed.any() else -1,
         copies=copies,
         lacking=tuple(k for k, names in VARIABLES.items() if not set(names) <= record.keys()),
     )

@@ -12,6 +12,7 @@ from estbench.inference.event_loop import Source, run_filter
 from estbench.inference.traces import Traces
 from estbench.randomness import streams
 from estbench.scenario.reference import LABEL
+from estbench.shapes import Bool, Mask
 from estbench.simulation.sources import Live, Noting, Recorded, Trajectory, record
 
 Stop = Callable[[], bool]
@@ -88,13 +89,27 @@ def followed(
         raise EstimatorError(f"{label} raised {user_error_location(error)}") from error
 
 
-def blamed(traces: Traces, trajectory: Trajectory) -> Traces:
-    """The traces, in which a run without a truth for want of a reference says so."""
-    if trajectory.lost is None or not trajectory.lost.any():
+def blamed(traces: Traces, lost: Bool[Mask, " run"] | None) -> Traces:
+    """The traces, in which a run whose truth ended says why, whatever the estimator did before.
+
+    Args:
+        traces: of one estimator.
+        lost: runs that have no truth for want of a reference, `Trajectory.lost`. In any other run
+            without a truth the simulation failed.
+    """
+    ended = ~np.isfinite(traces.truth).all(axis=-1)
+    if not ended.any():
         return traces
-    without = trajectory.lost & (traces.fault == Fault.TRUTH)
-    fault = np.where(without, Fault.REFERENCE, traces.fault).astype(traces.fault.dtype)
-    return replace(traces, fault=fault)
+    lost = np.zeros(len(traces.fault), bool) if lost is None else lost
+    failed = ended.any(axis=0) & ~lost
+    fault = np.where(failed, Fault.TRUTH, traces.fault)
+    fault = np.where(lost & (fault == Fault.TRUTH), Fault.REFERENCE, fault)
+    step = np.where(failed, ended.argmax(axis=0), traces.fault_step)
+    return replace(
+        traces,
+        fault=fault.astype(traces.fault.dtype),
+        fault_step=step.astype(traces.fault_step.dtype),
+    )
 
 
 def estimated(
@@ -121,7 +136,7 @@ def estimated(
     if truth is None:
         noting = Noting(driven(prepared, runs))
         traces = followed(prepared, label, runs, noting, *keep)
-        return None if traces is None else (traces, noting.trajectory())
+        return None if traces is None else (blamed(traces, None), noting.trajectory())
     source = Recorded(prepared.instants, truth)
     traces = followed(prepared, label, runs, source, *keep)
-    return None if traces is None else (blamed(traces, truth), truth)
+    return None if traces is None else (blamed(traces, truth.lost), truth)

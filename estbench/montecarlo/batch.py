@@ -8,7 +8,7 @@ import numpy as np
 from estbench.bounds import scenario as bounds
 from estbench.consistency import records
 from estbench.experiment import setup
-from estbench.experiment.recording import estimated, recorded
+from estbench.experiment.recording import blamed, estimated, recorded
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
 
@@ -106,7 +106,7 @@ def traced(
     for label in prepared.scenario.estimators:
         traces = None
         if reference is not None and prepared.is_reference(label):
-            traces = reference
+            traces = blamed(reference, truth and truth.lost)
         elif followed := estimated(prepared, label, runs, truth, *keep):
             traces, own = followed
             if bounded and truth is None:

@@ -29,6 +29,7 @@ COLOURS = {
     Verdict.CONSERVATIVE: "yellow",
     Verdict.CORRELATED: "yellow",
     Verdict.DIVERGING: "bold red",
+    Verdict.SIMULATION_FAILED: "bold magenta",
     Verdict.UNDECIDED: "dim",
 }
 

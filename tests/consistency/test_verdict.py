@@ -17,6 +17,7 @@ from estbench.consistency.blocks import blocks
 from estbench.consistency.hypotheses import Kind
 from estbench.consistency.reason import reason
 from estbench.consistency.verdict import Verdict, bounds, distinct, is_shown, judge
+from estbench.estimators.beliefs import Fault
 
 NAMES, CHANNELS, BLOCKS = ("a", "b"), ("position", "speed"), blocks(np.linspace(0, 5, 51))
 
@@ -146,3 +147,19 @@ def test_of_several_faults_the_most_dangerous_is_the_word_and_all_are_in_the_lin
     line = said(judgement)
     assert line.index("biased:") < line.index("overconfident innovations:")
     assert "correlated innovations:" in line
+
+
+@pytest.mark.parametrize(("failed", "lost", "word"), [
+    (6, 0, Verdict.SIMULATION_FAILED), (6, 50, Verdict.SIMULATION_FAILED),
+    (4, 0, Verdict.CONSISTENT), (4, 20, Verdict.DIVERGING),
+])  # fmt: skip
+def test_runs_whose_truth_failed_are_not_held_against_the_estimator(failed, lost, word):
+    record = reduced(simulate(observed(), 100, 50, seed=11))
+    gone = np.arange(100)
+    record["diverged"][gone < failed + lost] = 1
+    record["fault"][gone < failed], record["fault_step"][gone < failed] = Fault.TRUTH, 7
+    judgement = judge(record, tolerance=0.5)
+    assert (judgement.verdict, judgement.failed, judgement.lost) == (word, failed, lost)
+    line = reason(judgement, NAMES, CHANNELS, BLOCKS, 0.5, 0.2)
+    assert f"the simulation of the truth failed in {failed} of 100 runs, first at 0.2 s" in line
+    assert ("use a smaller model.timestep" in line) == (word is Verdict.SIMULATION_FAILED)

@@ -1,5 +1,7 @@
 """One truth for all estimators, whose controller sees the reference estimator's estimate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -147,6 +149,24 @@ def test_a_failed_simulation_is_not_the_references_fault():
     overrides = ["process_noise.schedule=[[0.1, 1.0], [9.0, 1e30]]"]
     for label, traces in traced(prepared("cartpole", ["ekf", "ukf"], overrides), range(2)):
         assert traces.fault.tolist() == [Fault.TRUTH] * 2, label
+
+
+class Early(EKF):
+    """An EKF whose estimates fail one step before a truth that explodes at 0.1 s."""
+
+    def predict(self, belief, u, t, dt):
+        moved = super().predict(belief, u, t, dt)
+        return replace(moved, mean=np.full_like(moved.mean, np.nan)) if t > 0.075 else moved
+
+
+def test_a_filter_that_fails_before_its_truth_is_not_called_diverging():
+    overrides = ["process_noise.schedule=[[0.1, 1.0], [9.0, 1e30]]"]
+    results = estbench.run("cartpole", [f"{__name__}:Early"], overrides=overrides, **FAST)
+    summary = results["Early"]
+    assert str(summary.verdict) == "simulation failed"
+    assert {f.reason for f in summary.failures} == {Fault.TRUTH.text}
+    assert all(f.time > 0.1 for f in summary.failures)
+    assert "failed in 12 of 12 runs, first at 0.1" in summary.reason
 
 
 class Careless(EKF):
