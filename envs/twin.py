@@ -12,7 +12,7 @@ from estbench.envs.errors import EnvError
 from estbench.robots import layout
 from estbench.shapes import Array
 
-_OWN = ("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec")
+_OWN = frozenset(("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec"))
 
 
 class Twin:
@@ -58,7 +58,6 @@ class Twin:
         self._quaternions = [
             slice(q, q + 4) for q in layout.state_space(base.model).quaternions[:, 0]
         ]
-        self._shared = [k for k in vars(base) if k not in _OWN]
 
     @property
     def data(self) -> mujoco.MjData:
@@ -103,10 +102,14 @@ class Twin:
         return self._observation()
 
     def _sync(self) -> Any:
-        """Copy the environment's attributes besides model and data (a goal, a counter, ...)."""
+        """Take over the environment's attributes as they are now (a goal, a counter, ...).
+
+        Those that came since the last step are added, those that went are removed.
+        """
         mine, theirs = vars(self._env), vars(self._base)
-        for name in self._shared:
-            mine[name] = theirs[name]
+        for name in mine.keys() - theirs.keys() - _OWN:
+            del mine[name]
+        mine.update({name: value for name, value in theirs.items() if name not in _OWN})
         return self._env
 
     def _write(self, x: Array, t: float) -> None:
