@@ -17,6 +17,7 @@ from estbench.montecarlo import run as experiment
 from estbench.montecarlo.results import Results
 from estbench.robots import mjcf
 from estbench.scenario.schema import Scenario
+from estbench.tables import phases, writers
 from estbench.tables.quantity import quantity
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "gymnasium"
@@ -86,6 +87,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[0])
     parser.add_argument("--robots", nargs="*", default=ROBOTS, choices=ROBOTS)
     parser.add_argument("--only", nargs="*", default=list(MAIN), choices=list(VARIANTS))
+    parser.add_argument("--phases", action="store_true", help="print NEES/n by phase too")
     parser.add_argument("--set", nargs="*", default=[], help="settings of the scenario, KEY=VALUE")
     args = parser.parse_args()
     head = ["estimator", "verdict", "NEES/n", "NIS/m", "diverged", "positions", "velocities", "µs"]
@@ -99,6 +101,9 @@ def main() -> None:
             print(f"\n## {robot}, seed {seed}, {args.runs} runs of {args.duration:g} s")
             print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|")
             print("\n".join(rows(results)), flush=True)
+            found = phases.table((s.label, results.phases(s.label)) for s in results.summaries)
+            if args.phases and found is not None:
+                print(writers.markdown([found]), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.analysis.load import Stored
-from estbench.consistency import coverage, credibility, intervals, whiteness
+from estbench.consistency import coverage, credibility, intervals, phases, whiteness
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import Interval, positive_mean_interval
 from estbench.consistency.statistics import Summary
@@ -50,6 +50,7 @@ class Findings:
         summary: verdict and statistics.
         accuracy: one per unit.
         coverage: one per coordinate, or None if the store has none.
+        phases: statistics by phase of contact; empty without contacts.
         anees_trimmed, anees_median: NEES/n over all runs.
         anees_needed: count of runs for the wanted half-width of ANEES/n.
         whiteness: of the innovations, or None.
@@ -62,6 +63,7 @@ class Findings:
     summary: Summary
     accuracy: tuple[Accuracy, ...]
     coverage: tuple[coverage.Coverage, ...] | None
+    phases: tuple[phases.InPhase, ...]
     anees_trimmed: Interval
     anees_median: Interval
     anees_needed: int | None
@@ -102,6 +104,7 @@ def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
         coverage=None
         if inside is None
         else tuple(coverage.coverage(inside[good, i], level) for i in range(len(stored.names))),
+        phases=phases.by_phase(record, stored.units, level),
         anees_trimmed=intervals.trimmed_mean(anees, TRIM, level),
         anees_median=intervals.median(anees, level),
         anees_needed=intervals.runs_needed(record["anees"][good], precision, level),

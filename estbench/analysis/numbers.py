@@ -14,7 +14,9 @@ from estbench.analysis.findings import Findings
 from estbench.consistency import statistics
 from estbench.consistency.coverage import SIGMAS, Coverage
 from estbench.consistency.declaration import Statistic
+from estbench.consistency.phases import SHOWN
 from estbench.consistency.statistics import ANEES, ANEES_MEDIAN, RMSE
+from estbench.tables import phases
 from estbench.tables.cells import per_coordinate, plain, value_of
 
 
@@ -91,6 +93,7 @@ def _estimator(f: Findings) -> dict[str, Any]:
             }
             for a in f.accuracy
         },
+        "phases": phases.numbers(f.phases),
         "runs_needed_anees": f.anees_needed,
         "whiteness": None if white is None else {
             "correlation": [plain(i) for i in white.correlation],
@@ -151,6 +154,12 @@ def _estimator_rows(contest: Contest) -> Iterator[dict[str, Any]]:
             ):  # fmt: skip
                 yield row(f"rmse_norm{end}", plain(value), where, a.unit)
             yield from _coverage_rows(f.key, "rmse_norm", where, a.coverage)
+        for phase in f.phases:
+            yield row(f"share_{phase.name}", phase.share)
+            for x, value in zip(SHOWN.values(), phase.values):
+                yield row(f"{x.key}_{phase.name}", plain(value))
+            for unit, value in phase.rmse.items():
+                yield row(f"rmse_norm_{phase.name}", plain(value), unit=unit)
         if f.whiteness is not None:
             yield row("not_white_share", plain(f.whiteness.rejected))
             yield row("not_white_pooled_p", plain(f.whiteness.p))

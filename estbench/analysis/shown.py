@@ -10,6 +10,7 @@ from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.consistency.statistics import RMSE, SIGMA
 from estbench.tables.cells import cell, share, value_of
 from estbench.tables.columns import Table, tabulate
+from estbench.tables.phases import table as by_phase
 from estbench.tables.quantity import bounds, number, percent, probability, quantity
 
 
@@ -20,6 +21,8 @@ def build(comparison: Comparison) -> list[Table]:
         out.append(Table((), (), _title(contest)))
         out += [_verdicts(contest, comparison), _ranking(contest, comparison)]
         out += [_pairs(contest, comparison), _accuracy(contest), *_by_coordinate(contest)]
+        phases = by_phase((f.key, f.phases) for f in contest.findings)
+        out += [phases] if phases is not None else []
         out += [t for t in (_coverage(contest), _innovations(contest)) if t.rows]
         out.append(_needed(contest, comparison.precision))
     return out

@@ -18,6 +18,8 @@ Record = dict[str, NDArray[Any]]
 
 STEADY = 1e-3
 """A covariance whose log σ² changes by less during a run is constant."""
+PHASES = ("flight", "stance", "event")
+"""Of contact: nothing is touched, something is, an event is near. Each instant is in one."""
 RUN, STEP, EACH = ("run",), ("batch", "time"), ("run", "time")
 
 
@@ -59,6 +61,7 @@ class BatchTraces:
         settled: instants that count in averages over time.
         diverged: runs that count in no sum over runs.
         blocks: of the settled instants.
+        phases: phase of contact of each instant (see `phases.PHASES`); None if it is not known.
     """
 
     traces: Traces
@@ -66,6 +69,7 @@ class BatchTraces:
     settled: Bool[Mask, " time"]
     diverged: Bool[Mask, " run"]
     blocks: tuple[Block, ...]
+    phases: Bool[Mask, "time run phase"] | None = None
 
     @property
     def n(self) -> int:
@@ -136,6 +140,28 @@ class BatchTraces:
     def judged(self) -> Bool[Mask, "time run"]:
         """Where NEES says something: all is known exactly, and rightly so, elsewhere."""
         return (self.traces.rank > 0) | ~(self.traces.nees == 0)
+
+    def in_phases(
+        self, values: Float[Array, "time run *any"], counted: Bool[Mask, "time run"] | None = None
+    ) -> Float[Array, "run phase *any"]:
+        """Mean over the settled instants of each phase; NaN where none counts."""
+        if self.phases is None:
+            return np.full((self.runs, len(PHASES), *values.shape[2:]), np.nan)
+        parts = self.phases if counted is None else self.phases & counted[..., None]
+        wide = parts.reshape(*parts.shape, *[1] * (values.ndim - 2))
+        found = [means(values, wide[:, :, p], [self.settled]) for p in range(len(PHASES))]
+        return np.concatenate(found, axis=1)
+
+    def phase_steps(self) -> Int[Ints, "run phase"]:
+        """How many settled instants each phase has; 0 where the phases are not known."""
+        if self.phases is None:
+            return np.zeros((self.runs, len(PHASES)), np.int64)
+        return self.phases[self.settled].sum(axis=0)
+
+    @cached_property
+    def normalized_update(self) -> Float[Array, "time run"]:
+        """NIS/m at every instant; NaN where nothing arrived."""
+        return self.nis / np.maximum(self.dof, 1)
 
     def by_size(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
         """Mean over the instants whose covariance is below the run's median, and over the others.

@@ -10,6 +10,7 @@ from estbench.consistency import blocks
 from estbench.consistency.coverage import SIGMAS
 from estbench.consistency.fields import (
     EACH,
+    PHASES,
     RUN,
     STEP,
     BatchTraces,
@@ -23,7 +24,7 @@ from estbench.consistency.statistics import COORDINATE, STATISTICS
 from estbench.inference.lags import LAGS
 from estbench.inference.traces import Traces
 from estbench.scenario.schema import ConsistencySection
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Bool, Float, Mask
 
 SUMMARY: dict[str, Recorded] = {
     **{name: variable for s in STATISTICS for name, variable in s.variables.items()},
@@ -42,6 +43,23 @@ SUMMARY: dict[str, Recorded] = {
         (*RUN, "size"), "f8",
         "average of NEES/n where the covariance is below its median over the run, and elsewhere",
         lambda b: b.by_size(b.normalized),
+    ),
+    "phase_steps": Recorded(
+        (*RUN, "phase"), "i8", "instants in flight, in stance and near an event of contact",
+        lambda b: b.phase_steps(),
+    ),
+    "anees_by_phase": Recorded(
+        (*RUN, "phase"), "f8", "average of NEES/n in each phase of contact",
+        lambda b: b.in_phases(b.normalized, b.judged),
+    ),
+    "anis_by_phase": Recorded(
+        (*RUN, "phase"), "f8", "average of NIS/m over the updates in each phase of contact",
+        lambda b: b.in_phases(b.normalized_update, b.dof > 0),
+    ),
+    "mse_by_phase": Recorded(
+        (*RUN, "phase", "coordinate"), "f8",
+        "average of the squared error in each phase of contact, (unit)²",
+        lambda b: b.in_phases(b.square),
     ),
     "scaled_error": Recorded(
         (*RUN, "block", "coordinate"), "f8", "average of error/σ in each block of time",
@@ -120,7 +138,7 @@ SUMMARY: dict[str, Recorded] = {
         lambda b: b.total(b.bound),
     ),
 }  # fmt: skip
-SIZES = {"lag": LAGS + 1, "block": blocks.COUNT, "size": 2}
+SIZES = {"lag": LAGS + 1, "block": blocks.COUNT, "size": 2, "phase": len(PHASES)}
 """Dimensions that are the same for all scenarios."""
 COST = {
     "cpu_time": Recorded(
@@ -160,8 +178,8 @@ FULL = {
     ),
 }  # fmt: skip
 RESERVED = {
-    "run", "time", "block", "coordinate", "coordinate_", "unit", "channel", "state", "reading",
-    "reading_", "done", "truth",
+    "run", "time", "block", "phase", "coordinate", "coordinate_", "unit", "channel", "state",
+    "reading", "reading_", "done", "truth",
 }  # fmt: skip
 """Names in a store beside the estimators' groups, so that no estimator may have one of them."""
 TRUTH = {"x": Field((*EACH, "state"), "f8", "true state")}
@@ -185,7 +203,11 @@ def _traces(keep: str) -> dict[str, Recorded]:
 
 
 def reduce(
-    traces: Traces, times: Float[Array, " time"], section: ConsistencySection, keep: str
+    traces: Traces,
+    times: Float[Array, " time"],
+    section: ConsistencySection,
+    keep: str,
+    phases: Bool[Mask, "time run phase"] | None = None,
 ) -> Record:
     """The record of one batch.
 
@@ -194,6 +216,7 @@ def reduce(
         times: s; index 0 is the prior and is left out of averages.
         section: burn-in and the definition of divergence.
         keep: `summary`, `diagonal` or `full`.
+        phases: phase of contact of each instant, where it is known.
     """
     window = round(section.divergence_duration / np.diff(times).mean())
     normalized = traces.nees / np.maximum(traces.rank, 1)
@@ -204,6 +227,7 @@ def reduce(
         settled=(times > section.burn_in) & (times > 0),
         diverged=(traces.fault > 0) | lost,
         blocks=blocks.blocks(times, section.burn_in),
+        phases=phases,
     )
     recorded = SUMMARY | COST | _traces(keep)
     return {name: variable.of(batch) for name, variable in recorded.items()}

@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.robots import added_sensors as adding
-from estbench.robots import layout, mjcf, parameters
+from estbench.robots import contacts, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import (
     AddSensor,
@@ -104,6 +104,21 @@ def check_timestep(model: mujoco.MjModel, where: str) -> None:
     """Refuse a timestep that is not positive."""
     if not model.opt.timestep > 0:
         raise ScenarioError(f"{where}.timestep is {model.opt.timestep:g} s; use one above 0")
+
+
+def watched(scenario: Scenario, model: mujoco.MjModel) -> bool:
+    """Whether the phases of contact of a robot are found.
+
+    Raises:
+        ScenarioError: they are asked for, and the robot has neither contacts nor joint limits.
+    """
+    wanted, touches = scenario.contact.phases, bool(contacts.colliding(model).any())
+    if wanted and not touches and not model.jnt_limited.any():
+        raise ScenarioError(
+            f"contact.phases is true, but no two geoms of {scenario.model.path} may touch and no "
+            "joint has a limit; leave it out"
+        )
+    return touches if wanted is None else wanted
 
 
 def disturbance(

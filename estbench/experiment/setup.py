@@ -363,6 +363,7 @@ def build(scenario: Scenario) -> Setup:
     )
     for key, draw in scenario.truth.draw.items():
         parameters.check_draw(truth, key, draw.relative_std, draw.std)
+    resolution.watched(scenario, truth)
     setup.controller([0])
     return _with_estimators(setup)
 

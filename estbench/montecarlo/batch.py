@@ -7,7 +7,7 @@ import numpy as np
 
 from estbench.bounds import scenario as bounds
 from estbench.consistency import records
-from estbench.experiment import setup
+from estbench.experiment import contact, setup
 from estbench.experiment.recording import blamed, estimated, recorded
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
@@ -63,17 +63,21 @@ def run_batch(
     prepared: setup.Setup, runs: Sequence[int], keep: str, stop: Callable[[], bool] = lambda: False
 ) -> Batch | None:
     """Simulate some runs and every estimator on them; None when stopped."""
-    out = {}
+    out, contacts = {}, None
+    own_truth = prepared.scenario.control.observe == "estimate"
     truth: records.Record = {}
     full = keep == "full"
     for label, traces in traced(prepared, runs, full, full, stop, bounds.wanted(prepared)):
         if traces is None:
             return None
         section = prepared.scenario.consistency
-        out[label] = records.reduce(traces, prepared.times, section, keep)
+        if not out or own_truth:
+            contacts = contact.seen(prepared, traces.truth, runs)
+        phases = None if contacts is None else contacts.phases
+        out[label] = records.reduce(traces, prepared.times, section, keep, phases)
         if keep != "summary":
             x = {"x": np.swapaxes(traces.truth, 0, 1)}
-            if prepared.scenario.control.observe == "estimate":
+            if own_truth:
                 out[label] |= x
             else:
                 truth = x

@@ -11,11 +11,13 @@ from rich.text import Text
 
 from estbench.consistency import statistics
 from estbench.consistency.fields import Record
+from estbench.consistency.phases import InPhase, by_phase
 from estbench.consistency.statistics import COST, RMSE, Summary
 from estbench.consistency.summary import exactly_known
 from estbench.consistency.verdict import Verdict
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
+from estbench.tables import phases as phase_table
 from estbench.tables.cells import cell, per_coordinate, plain, value_of
 from estbench.tables.columns import Column, Table
 
@@ -100,6 +102,7 @@ class Results:
             if s.reason
         ]
         parts += [_accuracy(self.summaries, self.names, self.units)]
+        parts += self._by_phase()
         parts += [Text(line, style="dim") for line in _known(self.summaries, self.names)]
         parts += [Text(line, style="red") for line in _failures(self.summaries)]
         lines = (*_late(self.summaries), *_gated(self.summaries))
@@ -109,6 +112,16 @@ class Results:
             if self.interrupted:
                 parts.append(Text(f"go on with --out {self.folder} --resume"))
         return Group(*parts)
+
+    def phases(self, label: str) -> tuple[InPhase, ...]:
+        """The statistics of an estimator by phase of contact; empty without contacts."""
+        return by_phase(self.records[label], self.units, self.scenario.consistency.level)
+
+    def _by_phase(self) -> list[Any]:
+        table = phase_table.table((s.label, self.phases(s.label)) for s in self.summaries)
+        if table is None:
+            return []
+        return [table, Text(textwrap.fill(table.note, NOTE_WIDTH), style="dim")]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON; a value that is not finite becomes None."""
@@ -126,6 +139,7 @@ class Results:
                     "reason": s.reason,
                     **_plain(s),
                     **per_coordinate(s, statistics.of("coordinate"), self.names, self.units),
+                    "phases": phase_table.numbers(self.phases(s.label)),
                     "failures": [vars(f) for f in s.failures],
                     "late_readings": s.late,
                     "known_exactly": {n: x for n, x in zip(self.names, s.known) if x > 0},

@@ -118,6 +118,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         ideals=statistics.ideals("report"),
         rmse_notes=[s.note for s in each if s.note],
         lag_one=LAG_ONE.heading,
+        phases=tables.by_phase(entries),
         baselines=tables.baselines(entries) if len(entries) > 1 else [],
         names=first.names,
         many=len(entries) > max(3, len(first.names)),

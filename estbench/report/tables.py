@@ -8,6 +8,7 @@ import numpy as np
 from estbench.analysis.comparison import Pair, Paired
 from estbench.consistency import statistics
 from estbench.consistency.declaration import Statistic
+from estbench.consistency.phases import by_phase as phase_statistics
 from estbench.consistency.statistics import LAG_ONE
 from estbench.report import facts
 from estbench.report.figures import palette
@@ -17,7 +18,9 @@ from estbench.report.figures.traces import TraceStatistics
 from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.store.versions import known, mixed
+from estbench.tables import phases
 from estbench.tables.cells import cell, estimate, share, value_of
+from estbench.tables.columns import Table
 from estbench.tables.quantity import bounds, number, percent, probability, quantity
 
 MARKS = {"": "", "less": " ▼", "more": " ▲"}
@@ -70,6 +73,13 @@ def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
         ]
         rows.append({"name": name, "unit": unit, "cells": cells})
     return rows
+
+
+def by_phase(entries: Sequence[Entry]) -> Table | None:
+    """The statistics by phase of contact; None without contacts."""
+    return phases.table(
+        (e.key, phase_statistics(e.record, e.source.units, e.source.level)) for e in entries
+    )
 
 
 def baselines(entries: Sequence[Entry]) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from estbench.errors import ScenarioError, did_you_mean
+from estbench.randomness import streams
 from estbench.shapes import Array
 
 LIMIT = 4.5
@@ -139,6 +140,24 @@ def drawn(nominal: Array, relative_std: float, std: float, z: Array) -> Array:
     """
     z = np.clip(z, -LIMIT, LIMIT).reshape(-1, *([1] * np.ndim(nominal)))
     return nominal * (1 + relative_std * z) + std * z
+
+
+def of_runs(
+    model: mujoco.MjModel, key: str, spread: tuple[float, float], seed: streams.Seeds,
+    runs: Sequence[int],
+) -> tuple[str, int | slice, Array]:  # fmt: skip
+    """Field, index and values `(run, ...)` of a parameter that is drawn once per run.
+
+    Args:
+        model: with the nominal value.
+        key: `field.object`.
+        spread: relative and absolute standard deviation; see `drawn`.
+        seed: of all runs, or one for each.
+        runs: their numbers.
+    """
+    field, index = parameter(model, key, "truth.draw")
+    z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
+    return field, index, drawn(getattr(model, field)[index], *spread, z)
 
 
 def flaw(model: mujoco.MjModel, field: str, rows: int | slice) -> str | None:

@@ -317,6 +317,25 @@ class ConsistencySection(Section):
     divergence_duration: Annotated[float, Field(ge=0)] = Field(0.5, description="... for this, s")
 
 
+ContactEvent = Literal["touch-down", "lift-off", "slip", "limit"]
+
+
+class ContactSection(Section):
+    """Phases of contact of the true robot, by which statistics are shown; see docs/contact.md."""
+
+    phases: bool | None = Field(
+        None, description="whether; default where the robot's geoms may touch something"
+    )
+    events: Annotated[list[ContactEvent], Field(min_length=1)] = Field(
+        default_factory=lambda: ["touch-down", "lift-off"],
+        description="what counts as an event; slip: a contact begins to; limit: of a joint",
+    )
+    steps: Annotated[int, Field(ge=0)] = Field(
+        3, description="control steps before and after an event that belong to it"
+    )
+    slip: Positive = Field(0.05, description="m/s, tangential speed of a contact that slips")
+
+
 class Scenario(Section):
     """One experiment; `load` reads it."""
 
@@ -343,6 +362,7 @@ class Scenario(Section):
         description="whether the posterior Cramér-Rao bound is computed; 'known': for estimators "
         "that know the parameters drawn in each run",
     )
+    contact: ContactSection = ContactSection()
 
     @model_validator(mode="before")
     @classmethod

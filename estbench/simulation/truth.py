@@ -105,9 +105,9 @@ class Simulator:
         self.x[rows] = x0
         self._process.start(rows, seed, runs)
         for key, (draw, field, index) in self._draws.items():
-            z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
-            nominal = getattr(self._model, field)[index]
-            self._drawn[key][rows] = parameters.drawn(nominal, draw.relative_std, draw.std, z)
+            spread = draw.relative_std, draw.std
+            *_, values = parameters.of_runs(self._model, key, spread, seed, runs)
+            self._drawn[key][rows] = values
             self._backend.vary(len(self.x), field, index, self._drawn[key])
         self.clocks.start(rows)
         self.suite.start(rows, seed, runs, self.clocks.tick, self.x, u)

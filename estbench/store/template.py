@@ -7,7 +7,7 @@ import numpy as np
 import zarr
 from zarr.codecs import Crc32cCodec
 
-from estbench.consistency.fields import Field
+from estbench.consistency.fields import PHASES, Field
 from estbench.consistency.records import SIZES, SUMMARY, TRUTH, fields
 from estbench.experiment.setup import Setup
 from estbench.inference.innovations import readings
@@ -42,6 +42,7 @@ def declare(
         ("coordinate", "coordinate", space.names),
         ("coordinate_", "coordinate_", space.names),
         ("unit", "coordinate", space.units),
+        ("phase", "phase", PHASES),
         ("channel", "channel", tuple(setup.channel_spaces)),
     ]
     if keep != "summary":

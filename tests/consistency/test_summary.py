@@ -125,7 +125,7 @@ def test_a_record_has_the_declared_fields_dimensions_and_types(keep):
     assert set(record) == set(records.fields(keep) | records.COST)
     sizes = {"run": 6, "time": 5, "batch": 1, "coordinate": 2, "coordinate_": 2, "state": 2,
              "reading": 3, "reading_": 3, "lag": 3, "block": 10, "size": 2,
-             "channel": 2}  # fmt: skip
+             "phase": 3, "channel": 2}  # fmt: skip
     for name in record.keys() & records.fields(keep).keys():
         field = records.fields(keep)[name]
         assert record[name].shape == tuple(sizes[d] for d in field.dims), name
