@@ -214,7 +214,7 @@ def test_markdown_tables_are_rectangular(both):
 
 def test_latex_is_escaped_and_balanced(both):
     text = formats.render(both, "latex")
-    assert text.count(r"\begin{table}") == text.count(r"\end{table}") == 9
+    assert text.count(r"\begin{table}") == text.count(r"\end{table}") == 10
     assert "a/sr\\_ekf" in text
     assert r"$\pm$" in text
     body = [line for line in text.split("\n") if not line.startswith("%")]
