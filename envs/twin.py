@@ -15,6 +15,38 @@ from estbench.shapes import Array
 _OWN = frozenset(("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec"))
 
 
+def chosen(observe: str | None, env: gym.Env) -> tuple[str, tuple[str, ...]]:
+    """What is observed, and a notice about it: by default `env`, or `state` without a twin."""
+    if observe is not None:
+        return observe, ()
+    try:
+        check_twin(env)
+    except EnvError as error:
+        return "state", (f"observing the estimated state: {error}",)
+    return "env", ()
+
+
+def check_twin(env: gym.Env) -> None:
+    """Refuse an environment that can have no twin.
+
+    Raises:
+        EnvError: it lacks a method, or wrappers have changed its observation.
+    """
+    base: Any = env.unwrapped
+    for name in ("_get_obs", "do_simulation"):
+        if not callable(getattr(base, name, None)):
+            raise EnvError(
+                f"observe='env' needs {type(base).__name__}.{name}(), which Gymnasium's MuJoCo "
+                "environments have; use observe='state', 'belief' or 'raw'"
+            )
+    if env.observation_space != base.observation_space:
+        raise EnvError(
+            f"observe='env' computes the observation of {type(base).__name__}, but a wrapper "
+            "between has changed it; put EstimatedObservation directly around the environment "
+            "and the other observation wrappers around EstimatedObservation"
+        )
+
+
 class Twin:
     """A shallow copy of an environment with a `data` of its own; the original is never written.
 
@@ -34,19 +66,8 @@ class Twin:
     """
 
     def __init__(self, env: gym.Env, data: mujoco.MjData | None = None):
+        check_twin(env)
         base: Any = env.unwrapped
-        for name in ("_get_obs", "do_simulation"):
-            if not callable(getattr(base, name, None)):
-                raise EnvError(
-                    f"observe='env' needs {type(base).__name__}.{name}(), which Gymnasium's MuJoCo "
-                    "environments have; use observe='state', 'belief' or 'raw'"
-                )
-        if env.observation_space != base.observation_space:
-            raise EnvError(
-                f"observe='env' computes the observation of {type(base).__name__}, but a wrapper "
-                "between has changed it; put EstimatedObservation directly around the environment "
-                "and the other observation wrappers around EstimatedObservation"
-            )
         self.space = base.observation_space
         self._base = base
         # Not copy.copy: Gymnasium's environments are EzPickle, whose copy is a new environment.

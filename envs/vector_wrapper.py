@@ -17,7 +17,7 @@ from estbench.envs.episodes import Episodes
 from estbench.envs.errors import EnvError, not_running
 from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
 from estbench.envs.truth_info import KEYS
-from estbench.envs.twin import Twin
+from estbench.envs.twin import Twin, chosen
 from estbench.envs.watch import Watch
 from estbench.shapes import Array, Mask
 
@@ -49,7 +49,7 @@ class VectorEstimatedObservation(VectorWrapper):
         estimator: str | Mapping[str, Any] = "ukf",
         sensors: str | Path | Sequence[str] | Mapping[str, Any] | None = None,
         process_noise: float | Mapping[str, Any] = 0.01,
-        observe: str = "env",
+        observe: str | None = None,
         initial_std: float | Sequence[float] | dict[str, float] = 0.05,
         model_set: Mapping[str, float | Sequence[float]] | None = None,
         xml: str | Path | None = None,
@@ -66,11 +66,12 @@ class VectorEstimatedObservation(VectorWrapper):
                 f"{type(inner).__name__} is neither SyncVectorEnv nor AsyncVectorEnv; make it with "
                 "gymnasium.make_vec(..., vectorization_mode='sync')"
             )
+        observe, said = chosen(observe, members[0])
         self._watch = Watch(
             members[0], env.num_envs, estimator, sensors, process_noise, initial_std, model_set,
             xml, filtered=observe != "raw", nthread=nthread,
         )  # fmt: skip
-        self.notices = self._watch.notices
+        self.notices = (*self._watch.notices, *said)
         for line in self.notices:
             _log.warning("%s: %s", type(members[0].unwrapped).__name__, line)
         if isinstance(inner, SyncVectorEnv):

@@ -15,7 +15,7 @@ from estbench.envs.copies import carried, restore
 from estbench.envs.episodes import Episodes
 from estbench.envs.errors import not_running
 from estbench.envs.native import first
-from estbench.envs.twin import Twin
+from estbench.envs.twin import Twin, chosen
 from estbench.envs.watch import Watch
 from estbench.shapes import Array
 
@@ -40,7 +40,8 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             (unit/s)²/s), or per coordinate (a table of patterns), or a table with `kind` and
             `density` as in a scenario's `[process_noise]`.
         observe: `env` (the environment's own observation, at the estimate), `state`, `belief`,
-            `covariance`, or `raw` (sensor readings, no filter).
+            `covariance`, or `raw` (sensor readings, no filter). By default `env`, or `state`,
+            with a notice, for an environment that cannot compute its observation at an estimate.
         initial_std: P₀'s standard deviations: a number, a list or a table of patterns. 0 starts
             the filter at the truth.
         model_set: `field.object` = value: where the filter's model differs from the environment's.
@@ -56,7 +57,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         estimator: str | Mapping[str, Any] = "ukf",
         sensors: str | Path | Sequence[str] | Mapping[str, Any] | None = None,
         process_noise: float | Mapping[str, Any] = 0.01,
-        observe: str = "env",
+        observe: str | None = None,
         initial_std: float | Sequence[float] | dict[str, float] = 0.05,
         model_set: Mapping[str, float | Sequence[float]] | None = None,
         xml: str | Path | None = None,
@@ -72,11 +73,12 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             xml=None if xml is None else str(xml),
         )
         gym.Wrapper.__init__(self, env)
+        observe, said = chosen(observe, env)
         self._watch = Watch(
             env, 1, estimator, sensors, process_noise, initial_std, model_set, xml,
             filtered=observe != "raw",
         )  # fmt: skip
-        self.notices = self._watch.notices
+        self.notices = (*self._watch.notices, *said)
         for line in self.notices:
             _log.warning("%s: %s", type(env.unwrapped).__name__, line)
         self._data = self._watch.data

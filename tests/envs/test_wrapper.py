@@ -318,7 +318,10 @@ def test_a_third_party_environment_with_sensors_of_its_own():
     with pytest.raises(EnvError, match=r"Plain does not say which MJCF.*pass xml="):
         EstimatedObservation(Plain(), sensors={"a": {"type": "framepos", "object": "s"}})
     with pytest.raises(EnvError, match=r"observe='env' needs Plain._get_obs.*observe='state'"):
-        EstimatedObservation(Plain())
+        EstimatedObservation(Plain(), observe="env")
+    by_default = EstimatedObservation(Plain())
+    assert by_default.observation_space.shape == (13,)
+    assert by_default.notices[-1].startswith("observing the estimated state: observe='env' needs")
 
 
 def test_only_mujoco_environments():
@@ -376,7 +379,7 @@ def test_a_changed_observation_cannot_be_computed_at_the_estimate():
     with pytest.raises(
         EnvError, match=r"a wrapper between has changed it; put EstimatedObservation"
     ):
-        EstimatedObservation(inner)
+        EstimatedObservation(inner, observe="env")
 
 
 def test_a_step_after_the_end_and_actions_outside():
