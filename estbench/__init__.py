@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from estbench.store.zarr import open_results
     from estbench.study.store import open_study
     from estbench.study.sweep import sweep
+    from estbench.tuning.tune import tune
 
 __version__ = "0.1.0"
 __all__ = [
@@ -95,6 +96,7 @@ __all__ = [
     "posterior_bound",
     "run",
     "sweep",
+    "tune",
 ]
 
 _MODULES = {
@@ -128,6 +130,7 @@ _MODULES = {
     "store.zarr": ("open_results",),
     "study.store": ("open_study",),
     "study.sweep": ("sweep",),
+    "tuning.tune": ("tune",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -11,7 +11,7 @@ from typing import Annotated, cast
 import typer
 
 from estbench import __version__
-from estbench.commands import check, compare, control, explain, report, run, sensors, sweep
+from estbench.commands import check, compare, control, explain, report, run, sensors, sweep, tune
 from estbench.commands.shared import say
 from estbench.errors import EstbenchError, Interrupted
 
@@ -45,7 +45,7 @@ def root(
 
 
 # In the order of `--help`.
-for command in (run, check, sensors, control, report, compare, sweep, explain):
+for command in (run, check, sensors, control, report, compare, sweep, tune, explain):
     command.register(app)
 
 

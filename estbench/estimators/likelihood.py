@@ -45,7 +45,7 @@ def log_likelihood(
 
 
 def log_normalization(
-    factor: Float[Array, "run m m"], dof: Int[Ints, " run"]
+    factor: Float[Array, "... m m"], dof: Int[Ints, " run"]
 ) -> Float[Array, " run"]:
     """(log det L Lᵀ + m log 2π)/2.
 

@@ -1,0 +1,134 @@
+"""The command `tune`; what it needs is imported when it runs."""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from estbench.commands.shared import Duration, Json, Overrides, Scenario, Seed, console, say
+from estbench.errors import StudyError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command(
+        epilog="Example: estbench tune cartpole -e ekf --free filter.process_noise_scale "
+        "--free filter.measurement_noise_scale --runs 100"
+    )(tune)
+
+
+def tune(
+    scenario: Scenario,
+    estimator: Annotated[
+        str, typer.Option("--estimator", "-e", help="name, label or package.module:Name")
+    ],
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY[=LOW:HIGH]",
+            help="what is fitted: a key under filter or start, or a setting of the estimator; "
+            "KEY=A,B,C chooses between values; repeatable",
+        ),
+    ] = None,
+    objective: Annotated[
+        Literal["likelihood", "mse", "consistent-mse"],
+        typer.Option(help="of the readings; squared error; the same with NEES/n about 1"),
+    ] = "likelihood",
+    coordinate: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME[=WEIGHT]", help="of a squared error; repeatable; default all"),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=CENTRE:SPREAD", help="from a datasheet, say; repeatable"),
+    ] = None,
+    method: Annotated[
+        Literal["auto", "quasi-newton", "nelder-mead", "evolution", "optuna"],
+        typer.Option(help="of the search; auto fits it to what is free"),
+    ] = "auto",
+    iterations: Annotated[int, typer.Option(min=1, help="at most")] = 60,
+    runs: Annotated[int | None, typer.Option(help="count of tuning runs")] = None,
+    held_out: Annotated[
+        int | None, typer.Option(min=0, help="runs that prove the result; default as many")
+    ] = None,
+    seed: Seed = None,
+    duration: Duration = None,
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option(help="folder of tuned.toml; default results/SCENARIO-TIME")
+    ] = None,
+    resume: Annotated[bool, typer.Option(help="go on with --out")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="threads")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="draw profiles and trace into this .png, .pdf or .svg")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Fit what an estimator believes to the readings, and prove it on runs it has not seen."""
+    from estbench.scenario.load import resolve
+    from estbench.store import zarr as store
+    from estbench.tables.destination import check_file
+    from estbench.tuning import parameters
+    from estbench.tuning import tune as tuning
+
+    if plot is not None:
+        from estbench.report.figures import paper
+        from estbench.report.figures import tuning as figures
+
+        paper.check_format(plot)
+        check_file(plot)
+    resolved = resolve(scenario, [estimator], runs, seed, duration, overrides or ())
+    folder = out if out is not None or resume else store.default_folder(f"{resolved.name}-tuned")
+    priors = dict(parameters.parse_prior(text) for text in prior or ())
+    tuned = tuning.tune(
+        resolved, next(iter(resolved.estimators)), free or (), objective=objective,
+        coordinates=dict(map(_weight, coordinate or ())),
+        priors={key: (p.centre, p.spread) for key, p in priors.items()}, method=method,
+        iterations=iterations, held_out=held_out, out=folder, resume=resume, workers=workers,
+        progress=_progress(),
+    )  # fmt: skip
+    if as_json:
+        print(tuned.to_json())
+    else:
+        console().print(tuned.render())
+    if plot is not None:
+        figures.draw(tuned, plot)
+        say(f"drawn in {plot}")
+    if tuned.interrupted:
+        say(f"go on with --out {folder} --resume")
+        raise typer.Exit(130)
+
+
+def _weight(text: str) -> tuple[str, float]:
+    """`NAME` or `NAME=WEIGHT`.
+
+    Raises:
+        StudyError: the weight is no positive number.
+    """
+    name, equals, weight = text.partition("=")
+    try:
+        value = float(weight) if equals else 1.0
+    except ValueError:
+        value = 0.0
+    if not value > 0:
+        raise StudyError(f"--coordinate {text!r}: the weight is not above 0; use NAME=WEIGHT")
+    return name, value
+
+
+def _progress() -> Callable[[int, float], None]:
+    """Shows candidates and the least loss: on a terminal in one line, else every ten seconds."""
+    last = time.monotonic()
+
+    def line(candidates: int, loss: float) -> None:
+        nonlocal last
+        text = f"{candidates} candidates, least loss per run {loss:.6g}"
+        if sys.stderr.isatty():
+            print(f"\r{text}\x1b[K", end="", file=sys.stderr, flush=True)
+        elif time.monotonic() - last > 10:
+            last = time.monotonic()
+            say(text)
+
+    return line
