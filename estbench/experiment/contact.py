@@ -28,6 +28,16 @@ class Seen:
     events: Bool[Mask, "time run kind"]
     phases: Bool[Mask, "time run phase"]
 
+    def times(self, times: Float[Array, " time"], place: int) -> dict[str, Array]:
+        """Kind -> times of the events of one run, s; of the kinds that happen.
+
+        Args:
+            times: of the instants, s.
+            place: of the run in the batch.
+        """
+        found = self.events[:, place].T
+        return {kind: times[at] for kind, at in zip(phases.EVENTS, found) if at.any()}
+
 
 @lru_cache(maxsize=4)
 def sensing(prepared: Setup) -> Contacts:

@@ -1,7 +1,7 @@
 """One run to show: truth, estimate and covariance at every instant."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estbench.analysis.load import array
 from estbench.consistency.nees import chi_square_band
 from estbench.errors import EstbenchError, EstimatorError
-from estbench.experiment import setup
+from estbench.experiment import contact, setup
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.batch import traced
 from estbench.report.sources import Entry, load
@@ -37,6 +37,8 @@ class Replay:
         band: bounds of NEES/n of one run with a consistent estimator.
         level: probability of the band.
         correlated: whether the covariances between coordinates are known.
+        touching: whether the true robot touches anything `(K + 1,)`; None where it cannot.
+        events: kind -> times of the events of contact, s.
     """
 
     name: str
@@ -51,6 +53,8 @@ class Replay:
     band: tuple[float, float]
     level: float
     correlated: bool
+    touching: NDArray[np.bool_] | None = None
+    events: Mapping[str, Array] = field(default_factory=dict)
 
 
 def replay(
@@ -149,6 +153,7 @@ def _replay(
     prepared: setup.Setup, label: str, run: int, truth: Array, estimate: Array, cov: Array,
     nees: Array, rank: NDArray[np.int64], correlated: bool,
 ) -> Replay:  # fmt: skip
+    contacts = contact.seen(prepared, truth[:, None], [run])
     level, usual = prepared.scenario.consistency.level, max(1, int(np.median(rank)))
     low, high = chi_square_band(usual, 1, level)
     return Replay(
@@ -164,4 +169,6 @@ def _replay(
         band=(low / usual, high / usual),
         level=level,
         correlated=correlated,
+        touching=None if contacts is None else contacts.touching[:, 0],
+        events={} if contacts is None else contacts.times(prepared.times, 0),
     )

@@ -28,6 +28,8 @@ FORMATS = (".mp4", ".gif", ".png")
 MOST_FRAMES = 20_000
 _INK, _SOFT, _LINE, _BAND = (27, 31, 36), (87, 96, 106), (0, 114, 178), (228, 228, 228)
 _CURSOR, _PAPER, _FUTURE = (213, 94, 0), (255, 255, 255), (160, 190, 210)
+_EVENTS = {"touch-down": (0, 120, 80), "lift-off": (150, 90, 170), "slip": (230, 159, 0),
+           "limit": _INK}  # fmt: skip
 _FINE = 2  # the chart is drawn larger by this factor and then reduced, for smooth lines
 
 
@@ -215,6 +217,21 @@ class Chart:
         if len(points) > 1:
             pen.line(points, fill=colour, width=round(1.2 * _FINE), joint="curve")
 
+    def _contact(self, pen: "ImageDraw.ImageDraw") -> None:
+        """Draw stance as a bar on the time axis, and each event as a line above it."""
+        f, run = _FINE, self.run
+        high = (0.75 * self.bottom + 0.25 * self.top) * f
+        if run.touching is None:
+            return
+        columns = self.x(run.times) * f
+        for left, right, stance in zip(columns[:-1], columns[1:], run.touching[:-1]):
+            if stance:
+                pen.rectangle([left, (self.bottom - 3) * f, right, self.bottom * f], fill=_SOFT)
+        for kind, times in run.events.items():
+            for column in (self.x(times) * f).tolist():
+                ends = [(column, high), (column, (self.bottom - 3) * f)]
+                pen.line(ends, fill=_EVENTS[kind], width=f)
+
     def _title(self) -> str:
         """The longest title that leaves room for the time and NEES of a frame."""
         run = self.run
@@ -240,6 +257,7 @@ class Chart:
                 ((self.left - 4) * f, row), f"{10.0**power:g}", fill=_SOFT, font=self._font,
                 anchor="rm",
             )  # fmt: skip
+        self._contact(pen)
         span = run.times[-1] - run.times[0]
         tick = next(
             s * 10.0**p for p in range(-4, 6) for s in (1, 2, 5) if span / (s * 10.0**p) <= 6

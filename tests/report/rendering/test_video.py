@@ -122,3 +122,18 @@ def test_bad_input(run, store, tmp_path):
         replay.replay("pendulum", -1)
     with pytest.raises(EstbenchError, match="no estimator 'ukff'"):
         replay.replay("pendulum", 0, "ukff")
+
+
+def test_the_chart_marks_stance_and_the_events_of_contact(run):
+    touching = (run.times > 0.3 * run.times[-1]) & (run.times < 0.6 * run.times[-1])
+    at = run.times[touching][[0, -1]]
+    events = {"touch-down": at[:1], "lift-off": at[1:]}
+    plain = video.Chart(run, 320, 80)
+    marked = video.Chart(replace(run, touching=touching, events=events), 320, 80)
+    changed = (plain.draw(0).astype(int) != marked.draw(0)).any(axis=-1)
+    bar = changed[plain.bottom - 2].nonzero()[0]
+    assert (bar[0], bar[-1]) == pytest.approx(plain.x(at), abs=3)
+    assert len(bar) > 0.9 * np.ptp(plain.x(at))
+    lines = changed[round(0.85 * plain.bottom + 0.15 * plain.top)].nonzero()[0]
+    assert len(lines) > 0
+    assert all(abs(plain.x(at) - column).min() < 2 for column in lines)
