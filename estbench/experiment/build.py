@@ -153,8 +153,13 @@ def disturbance(
             values = np.zeros(space.n)
             values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
             density = values.tolist()
+        elif section.kind == "force":
+            density = default_force_density(model).tolist()
         if section.matrix is None:
-            what = {"additive": "every velocity, (unit)²/s", "force": "every force, (N or N m)² s"}
+            what = {
+                "additive": "every velocity, (unit)²/s",
+                "force": "every velocity, (unit)²/s, as forces scaled by the robot's inertia",
+            }
             assumed = what.get(section.kind, "every control, (unit)² s")
     disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
     axes, where = len(disturbance.density), "process_noise"
@@ -167,6 +172,16 @@ def disturbance(
     if not disturbance.rank:
         notices.append("process noise is zero: an estimator's gain will vanish with time")
     return disturbance
+
+
+def default_force_density(model: mujoco.MjModel) -> Float[Array, " nv"]:
+    """Density of forces under which each velocity gains `DEFAULT_DENSITY` (unit)²/s by its own.
+
+    q = DEFAULT_DENSITY / ((M⁻¹)ᵢᵢ)², with M of the reference pose (MuJoCo's `dof_invweight0`), in
+    (N or N m)² s: a constant density would throw a light robot and not move a heavy one.
+    """
+    inverse = np.asarray(model.dof_invweight0, np.float64)
+    return np.where(inverse > 0, DEFAULT_DENSITY / np.where(inverse > 0, inverse, 1.0) ** 2, 0.0)
 
 
 def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:

@@ -152,7 +152,8 @@ class ProcessNoiseSection(Section):
     density: PerName | None = Field(
         None,
         description="diagonal of Q_s: (unit)²/s; forces (N or N m)² s; actuators (ctrl)² s; "
-        "default 0.01 on every axis (additive: the velocities)",
+        "default 0.01 on every axis (additive: the velocities; force: scaled so that the "
+        "velocities gain 0.01 (unit)²/s)",
     )
     matrix: list[list[float]] | None = Field(None, description="full Q_s instead of density")
     schedule: Schedule | None = Field(
