@@ -10,7 +10,10 @@ from estbench.errors import ScenarioError
 from estbench.experiment import contact, setup
 from estbench.experiment.recording import trajectory
 from estbench.montecarlo import run as experiment
+from estbench.report.contact import events
+from estbench.report.figures import plots
 from estbench.report.html import write_report
+from estbench.report.sources import load
 from estbench.scenario.schema import Scenario
 
 HOPS = """<mujoco><option timestep="0.002"/><worldbody>
@@ -119,3 +122,22 @@ def test_every_table_has_the_phases(ball, tmp_path):
     results = experiment.run(Scenario.model_validate(off))
     assert results.phases("ekf") == ()
     assert "flight" not in str(results)
+
+
+def test_the_events_of_a_stored_run_are_those_of_its_truth(ball, tmp_path):
+    for observe in ("truth", "estimate"):
+        data = ball | {
+            "simulation": {"duration": 0.5, "runs": 3}, "control": {"observe": observe},
+            "estimators": {"ekf": {}},
+        }  # fmt: skip
+        experiment.run(Scenario.model_validate(data), out=tmp_path / observe, keep="diagonal")
+        (entry,) = load([tmp_path / observe])
+        found, times = seen(data, range(3))
+        assert found is not None
+        marks = events(entry, 2)
+        assert "touch-down" in marks
+        for kind, at in marks.items():
+            np.testing.assert_array_equal(at, times[found.events[:, 2, EVENTS.index(kind)]])
+        assert marks.keys() == found.times(times, 2).keys()
+    plots.plot(plots.Paper([entry], run=2), "error", tmp_path / "error.svg")
+    assert "touch-down" in (tmp_path / "error.svg").read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
 """`estbench plot`: the report's figures for papers, with matplotlib, one or two columns wide."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,6 +10,7 @@ from scipy import stats
 
 from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.errors import EstbenchError, MissingExtraError, StoreError, did_you_mean
+from estbench.report import contact
 from estbench.report.figures import data, innovations, palette, traces
 from estbench.report.figures.data import Steps, thin
 from estbench.report.figures.paper import WIDTHS, check_format, write
@@ -23,6 +24,8 @@ except ImportError:
     raise MissingExtraError("matplotlib", "plot") from None
 
 T = TypeVar("T")
+EVENT_MARKS = {"touch-down": "v", "lift-off": "^", "slip": "s", "limit": "x"}
+"""Kind of an event of contact -> its mark on the time axis."""
 _NEED_TRACES = ("error", "histogram")
 
 
@@ -106,13 +109,19 @@ def _style(index: int) -> dict[str, Any]:
     }
 
 
-def _legend(figure: Figure, paper: Paper, ax: Axes, band: str = "") -> None:
-    """The legend above the figure: entries, and the grey band."""
+def _legend(
+    figure: Figure, paper: Paper, ax: Axes, band: str = "", marks: Iterable[str] = ()
+) -> None:
+    """The legend above the figure: entries, the grey band, and kinds of events."""
     handles: list[Any] = [
         ax.plot([], [], **_style(k), label=e.key)[0] for k, e in enumerate(paper.entries)
     ]
     if band:
         handles.append(Patch(facecolor="#cccccc", lw=0, label=band))
+    handles += [
+        ax.plot([], [], ls="none", color="#333333", ms=4, marker=EVENT_MARKS[kind], label=kind)[0]
+        for kind in marks
+    ]
     columns = min(len(handles), 3 if paper.columns == 1 else 6)
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
 
@@ -182,6 +191,7 @@ def _error(paper: Paper) -> Figure:
     if not any(found):
         raise entry.no_run(run)
     figure, axes = _grid(paper, len(chosen))
+    marks = contact.events(entry, run) if found[0] is not None else {}
     for ax, i in zip(axes, chosen):
         settled = 0.0
         for k, trace in enumerate(found):
@@ -199,7 +209,10 @@ def _error(paper: Paper) -> Figure:
         ax.set_ylim(-1.08 * settled, 1.08 * settled)
         ax.set_ylabel(paper.title(i))
         ax.margins(x=0.01)
-    _legend(figure, paper, axes[0])
+        for kind, times in marks.items():
+            ax.plot(times, [0.0] * len(times), transform=ax.get_xaxis_transform(), ls="none",
+                    color="#333333", ms=4, marker=EVENT_MARKS[kind], clip_on=False)  # fmt: skip
+    _legend(figure, paper, axes[0], marks=marks)
     figure.supxlabel(f"error of run {run} with ±1σ and ±3σ", fontsize=7, color="#555555")
     return figure
 

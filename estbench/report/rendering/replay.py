@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.analysis.load import array
 from estbench.consistency.nees import chi_square_band
 from estbench.errors import EstbenchError, EstimatorError
 from estbench.experiment import contact, setup
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.batch import traced
+from estbench.report import contact as stored_contact
 from estbench.report.sources import Entry, load
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
@@ -101,10 +101,8 @@ def of_entry(entry: Entry, run: int) -> Replay:
     group = entry.group.isel(run=place)
     prepared = setup.build(source.scenario)
     estimate, std = group["estimate"].values, group["std"].values
-    if source.scenario.control.observe == "estimate":  # the truth depends on the estimator
-        truth = prepared.space.plus(estimate, group["error"].values)
-    else:
-        truth = array(source.tree, "truth/x").isel(run=place).values
+    assert place is not None  # the caller has looked
+    truth = stored_contact.truth(prepared, entry, place)
     correlated = True
     if "cov" in group:
         cov = group["cov"].values
