@@ -52,7 +52,10 @@ LATE = [  # 20 Hz, due at 0.02, 0.07, ..., 30 ms late, in a loop of 10 ms
     "channels.pole_encoder.rate=20.0", "channels.pole_encoder.phase=0.02",
     "channels.pole_encoder.latency=0.03", "filter.channels.cart_encoder.follow_schedule=false",
 ]  # fmt: skip
-JITTER = ["channels.pole_encoder.jitter=0.01", "filter.channels.pole_encoder.timestamps=due"]
+JITTER = [  # the bound asks for R at the time of sampling
+    "channels.pole_encoder.jitter=0.01", "filter.channels.pole_encoder.timestamps=due",
+    "consistency.bound=false",
+]  # fmt: skip
 DURATION = 0.4
 DUE = [round(0.02 + 0.05 * k, 9) for k in range(8)]
 

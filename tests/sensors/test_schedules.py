@@ -106,7 +106,8 @@ def test_bad_functions(target, message):
 )
 def test_noise_and_its_r_follow_the_schedule(schedule, factors):
     gyro = "channels.gyro.schedule=" + (schedule if schedule[0] == "[" else f'"{schedule}"')
-    noisy, calm = prepare(gyro, name="cartpole_imu"), prepare(name="cartpole_imu")
+    same = 'control.observe="truth"'  # with "reference" the controls depend on the noise
+    noisy, calm = (prepare(*more, same, name="cartpole_imu") for more in ([gyro], []))
     readings = []
     for prepared in (noisy, calm):
         trajectory = simulated(prepared, 4)
