@@ -14,6 +14,7 @@ from scipy import stats
 from estbench.analysis.load import Stored
 from estbench.consistency.blocks import Block, blocks
 from estbench.consistency.fields import Record
+from estbench.consistency.hypotheses import Hypothesis, Kind
 from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
 from estbench.consistency.statistics import Summary
 from estbench.errors import AnalysisError
@@ -57,6 +58,10 @@ class Evidence:
         """Runs that did not diverge."""
         return len(self.record["anees"])
 
+    def refuted(self, *kinds: Kind) -> list[Hypothesis]:
+        """What the verdict refutes, of some kinds; without a kind, all of it."""
+        return [h for h in self.summary.judgement.refuted if not kinds or h.kind in kinds]
+
     @cached_property
     def nees(self) -> Interval:
         """NEES/n."""
@@ -71,26 +76,6 @@ class Evidence:
     def lag_one(self) -> Interval:
         """Lag-one correlation of the whitened innovations."""
         return self.mean(self.record["lag_one"])[0]
-
-    @cached_property
-    def block_nees(self) -> list[Interval]:
-        """NEES/n in each block of time."""
-        return self.ratio(self.record["nees_by_block"])
-
-    @cached_property
-    def square(self) -> list[Interval]:
-        """(error/σ)² of each coordinate, over the run."""
-        return self.ratio(np.nanmean(self.record["scaled_square"], axis=1))
-
-    @cached_property
-    def bias(self) -> list[Interval]:
-        """error/σ of each coordinate, over the run."""
-        return self.mean(np.nanmean(self.record["scaled_error"], axis=1))
-
-    @cached_property
-    def channel_nis(self) -> list[Interval]:
-        """NIS/m of each channel."""
-        return self.ratio(self.record["channel_nis"])
 
     @cached_property
     def persistence(self) -> float:
@@ -118,7 +103,7 @@ def gather(stored: Stored, label: str) -> Evidence:
     """The evidence about one estimator.
 
     Raises:
-        AnalysisError: no such estimator, a store of an earlier version, or less than two runs.
+        AnalysisError: no such estimator, or a store of an earlier version.
     """
     if label not in stored.records:
         known = ", ".join(stored.records)
@@ -131,11 +116,6 @@ def gather(stored: Stored, label: str) -> Evidence:
             "run the scenario again"
         )
     good = ~record["diverged"].astype(bool)
-    if good.sum() < 2:
-        raise AnalysisError(
-            f"{stored.folder}: {int(good.sum())} runs of {label} did not diverge; at least 2 are "
-            "needed to explain a verdict"
-        )
     per_run = {name: value[good] for name, value in record.items() if len(value) == len(good)}
     return Evidence(
         label=label,
@@ -152,7 +132,7 @@ def gather(stored: Stored, label: str) -> Evidence:
 def _rare(stored: Stored, label: str, good: NDArray[np.bool_]) -> tuple[float, float] | None:
     """The tail and the middle of NIS against those of chi-square."""
     group = stored.tree[label]
-    if "nis" not in group:
+    if "nis" not in group or not good.any():
         return None
     done = np.isin(np.asarray(stored.tree["run"]), stored.runs)
     nis, dof = (np.asarray(group[name])[done][good] for name in ("nis", "dof"))

@@ -9,7 +9,8 @@ from rich.padding import Padding
 from rich.text import Text
 
 from estbench.analysis.evidence import gather
-from estbench.analysis.explain import Finding, explain
+from estbench.analysis.explain import explain
+from estbench.analysis.finding import Finding
 from estbench.analysis.load import Stored, load
 
 
@@ -20,11 +21,13 @@ class Explanation:
     Attributes:
         label: of the estimator.
         verdict: in a word.
-        findings: the faults that the evidence shows; none where everything is as it should be.
+        reason: what failed, where, when and by how much; empty for a consistent estimator.
+        findings: the causes that the evidence shows; none where nothing is wrong.
     """
 
     label: str
     verdict: str
+    reason: str
     findings: tuple[Finding, ...]
 
 
@@ -46,7 +49,8 @@ def of(stored: Stored, label: str) -> Explanation:
         AnalysisError: no such estimator, or the store lacks what the rules need.
     """
     evidence = gather(stored, label)
-    return Explanation(label, str(evidence.summary.verdict), tuple(explain(evidence)))
+    summary = evidence.summary
+    return Explanation(label, str(summary.verdict), summary.reason, tuple(explain(evidence)))
 
 
 def render(found: Sequence[Explanation]) -> Group:
@@ -54,9 +58,8 @@ def render(found: Sequence[Explanation]) -> Group:
     lines: list[Text | Padding] = []
     for e in found:
         lines.append(Text(f"{e.label}: {e.verdict}", style="bold"))
-        if not e.findings:
-            fine = Text("no fault shows in NEES, NIS, innovations or coordinates")
-            lines.append(Padding(fine, (0, 0, 0, 2)))
+        what = e.reason or "the errors are as large as the covariance says, the innovations white"
+        lines.append(Padding(Text(what), (0, 0, 0, 2)))
         for finding in e.findings:
             lines.append(Padding(Text(finding.text), (0, 0, 0, 2)))
             help_ = Text(f"usually helps: {finding.remedy}", style="dim")

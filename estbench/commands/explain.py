@@ -24,7 +24,12 @@ def explain(
 
     found = explanations(folder, estimator or ())
     if as_json:
-        text = {e.label: [vars(f) for f in e.findings] for e in found}
+        text = {
+            e.label: {
+                "verdict": e.verdict, "reason": e.reason, "causes": [vars(f) for f in e.findings]
+            }
+            for e in found
+        }  # fmt: skip
         print(json.dumps(text, indent=2, ensure_ascii=False))
     else:
         console().print(render(found))

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estbench.analysis import explanations
+from estbench.analysis.finding import Finding
 from estbench.analysis.load import Stored
 from estbench.consistency.verdict import Verdict
-from estbench.errors import EstbenchError
+from estbench.errors import AnalysisError, EstbenchError
 from estbench.estimators.beliefs import Fault
 from estbench.experiment import setup
 from estbench.report.figures.data import Steps
@@ -79,6 +81,20 @@ def verdict(entry: Entry, steps: Steps) -> str:
             text += f", most of all from t = {start:g} to {end:g} s ({share:.0%})"
         text += "."
     return text
+
+
+def causes(entry: Entry) -> tuple[Finding, ...]:
+    """Why the verdict is not *consistent*, and what usually helps.
+
+    None for a consistent estimator, and none from a store of an earlier version, which lacks the
+    evidence; the reason in the verdict then says so.
+    """
+    if entry.summary.verdict is Verdict.CONSISTENT:
+        return ()
+    try:
+        return explanations.of(entry.source, entry.label).findings
+    except AnalysisError:
+        return ()
 
 
 def facts(source: Stored) -> Facts:

@@ -53,6 +53,7 @@ def entry(material: Material, i: int) -> dict[str, Any]:
         "dashes": palette.dash(i).replace("px", "").replace("solid", ""),
         "verdict": str(summary.verdict),
         "sentence": facts.verdict(entry, nees),
+        "causes": facts.causes(entry),
         "cells": [
             *(_statistic(s, value_of(summary, s)) for s in shown),
             _share(nees.outside),

@@ -1,6 +1,7 @@
 """The page is parsed, and its numbers compared with the store's statistics."""
 
 import base64
+import html
 import json
 import re
 from dataclasses import replace
@@ -12,11 +13,13 @@ import pytest
 pytest.importorskip("plotly")
 pytest.importorskip("jinja2")
 
+from estbench.analysis.explanations import of
 from estbench.consistency.coverage import SIGMAS
 from estbench.consistency.intervals import positive_mean_interval
 from estbench.consistency.nees import chi_square_band
 from estbench.consistency.records import SUMMARY
 from estbench.consistency.summary import summarize
+from estbench.consistency.verdict import Verdict
 from estbench.report import pairs, sources
 from estbench.report.figures import data, innovations, traces
 from estbench.report.html import render, write_report
@@ -357,3 +360,21 @@ def test_where_it_is_written(store, tmp_path):
     assert path.stat().st_size > 1e6
     with pytest.raises(StoreError, match="cannot be written"):
         write_report([store("bare")], tmp_path / "no" / "r.html")
+
+
+def test_the_causes_stand_under_the_verdict(entries):
+    """What `estbench explain` says, for each estimator that is not consistent."""
+    (entry,) = entries("lost")
+    found = of(entry.source, "ekf").findings
+    assert found
+    page = render([entry], video=False)
+    panel = page.split('<ul class="causes">')[1].split("</ul>")[0]
+    words = html.unescape(re.sub("<[^>]*>", "", panel))
+    for cause in found:
+        assert cause.text.replace("`", "") in words
+        assert f"Usually helps: {cause.remedy.replace('`', '')}." in words
+    judgement = replace(entry.summary.judgement, verdict=Verdict.CONSISTENT)
+    consistent = replace(entry, summary=replace(entry.summary, judgement=judgement))
+    assert 'class="causes"' not in render([consistent], video=False)
+    del entry.source.records["ekf"]["scaled_square"]  # a store of an earlier version
+    assert 'class="causes"' not in render([entry], video=False)
