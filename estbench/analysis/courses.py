@@ -59,8 +59,7 @@ def course(e: Evidence) -> Course | None:
 
 
 def _course(what: str, values: Float[Array, "run block"], failing: list[Hypothesis]) -> Course:
-    high, low = (
-        np.isin(np.arange(values.shape[1]), [h.block for h in failing if above(h) == side])
-        for side in (True, False)
-    )
+    high, low = np.zeros((2, values.shape[1]), bool)
+    for h in failing:
+        (high if above(h) else low)[h.block or 0] = True
     return Course(what, values, high, low)

@@ -14,6 +14,7 @@ from estbench.analysis.evidence import Evidence
 from estbench.analysis.finding import Finding, Rule, sign
 from estbench.analysis.inferred_causes import INFERRED
 from estbench.consistency.verdict import FEW_LOST, Verdict
+from estbench.estimators.beliefs import Fault
 from estbench.tables.quantity import quantity
 
 
@@ -33,16 +34,31 @@ def explain(evidence: Evidence) -> list[Finding]:
     return found
 
 
+def failed(e: Evidence) -> Finding | None:
+    """The truth of some runs could not be simulated."""
+    count = e.summary.judgement.failed
+    if not count:
+        return None
+    return Finding(
+        "simulation",
+        f"the simulation of the truth failed in {count} of {e.summary.runs} runs, which say "
+        "nothing about the estimator",
+        "a smaller `model.timestep`, process noise or `initial.std`",
+    )
+
+
 def lost(e: Evidence) -> Finding | None:
     """More runs diverged than a consistent filter may lose."""
-    if e.summary.diverged <= FEW_LOST:
+    judgement = e.summary.judgement
+    runs = e.summary.runs - judgement.failed
+    if judgement.lost <= FEW_LOST * runs:
         return None
-    reasons = {f.reason for f in e.summary.failures}
+    reasons = {f.reason for f in e.summary.failures} - {Fault.TRUTH.text}
     why = f": {'; '.join(sorted(reasons))}" if reasons else ""
     return Finding(
-        "lost", f"{e.summary.diverged:.0%} of {e.summary.runs} runs diverged{why}",
+        "lost", f"{judgement.lost} of {runs} runs diverged{why}",
         "a better start (`start.method = \"batch\"`, `start.inflate`), or a filter for stronger "
-        "nonlinearity (ukf, iekf)",
+        "nonlinearity (`ukf`, `iekf`)",
     )  # fmt: skip
 
 
@@ -79,5 +95,5 @@ def unexplained(e: Evidence) -> Finding | None:
     )
 
 
-COUNTED: Sequence[Rule] = (lost, too_late, undecided)
+COUNTED: Sequence[Rule] = (failed, lost, too_late, undecided)
 """Runs and readings: the other rules are asked too."""

@@ -11,7 +11,7 @@ import estbench
 from benchmarks.faults import FAULTS, named, store
 from estbench.analysis.direct_causes import latency, some_time, start
 from estbench.analysis.evidence import gather
-from estbench.analysis.explain import explain, lost, too_late, undecided, unexplained
+from estbench.analysis.explain import explain, failed, lost, too_late, undecided, unexplained
 from estbench.analysis.explanations import explanations, of
 from estbench.analysis.inferred_causes import noise, unseen
 from estbench.analysis.load import load
@@ -158,12 +158,15 @@ def test_every_refuted_hypothesis_is_reported(matched):
         assert explain(odd)
 
 
-def test_lost_runs_and_late_readings_are_counted(matched):
+def test_runs_and_readings_are_counted(matched):
     evidence, _ = matched
-    share = replace(evidence.summary.diverged_interval, value=0.1)
-    summary = replace(evidence.summary, diverged_interval=share, late=3)
-    assert "10% of 24 runs diverged" in lost(replace(evidence, summary=summary)).text
-    assert "3 readings" in too_late(replace(evidence, summary=summary)).text
+    judgement = replace(evidence.summary.judgement, lost=2, failed=4)
+    summary = replace(evidence.summary, judgement=judgement, late=3)
+    bad = replace(evidence, summary=summary)
+    assert "2 of 20 runs diverged" in lost(bad).text
+    assert "failed in 4 of 24 runs" in failed(bad).text
+    assert "3 readings" in too_late(bad).text
+    assert failed(evidence) is None
     assert lost(evidence) is too_late(evidence) is None
     judgement = replace(evidence.summary.judgement, verdict=Verdict.UNDECIDED, needed=None)
     open_ = replace(evidence, summary=replace(evidence.summary, judgement=judgement))

@@ -117,10 +117,19 @@ def test_table_of_verdicts(two):
         assert row[1][0] == str(s.verdict)
         steps = data.nees_steps(entry), data.nis_steps(entry)
         expected = [
-            s.anees.value, s.anees_median, s.anis.value, s.lag_one.value, s.diverged, s.cost,
+            s.anees.value, s.anees_median, s.anis.value, s.lag_one.value,
+            s.log_likelihood.value, s.diverged, s.efficiency.value, s.cost,
             steps[0].outside, steps[1].outside,
         ]  # fmt: skip
         assert [float(value) for _, value in row[2:]] == expected
+
+
+def of_coordinate(s, i):
+    """The statistics of one coordinate, as the table has them."""
+    return [
+        s.rmse[i].value, s.std[i], s.efficiency_each[i].value, s.mean_error[i].value,
+        s.skew[i].value,
+    ]  # fmt: skip
 
 
 def test_table_of_rmse(two):
@@ -128,7 +137,7 @@ def test_table_of_rmse(two):
     source = entries[0].source
     for i, row in enumerate(tables.cells["table-rmse"][1:]):
         assert [row[0][0], row[1][0]] == [source.names[i], source.units[i]]
-        expected = [v for e in entries for v in (e.summary.rmse[i].value, e.summary.std[i])]
+        expected = [v for e in entries for v in of_coordinate(e.summary, i)]
         assert [float(value) for _, value in row[2:]] == expected
 
 
@@ -244,12 +253,10 @@ def test_many_estimators_have_a_row_each(two):
     tables = Tables(render(many, video=False))
     source = entries[0].source
     header, *rows = tables.cells["table-rmse"]
-    assert [c[0] for c in header[1::2]] == [f"{n}, {u}" for n, u in zip(source.names, source.units)]
+    assert [c[0] for c in header[1::5]] == [f"{n}, {u}" for n, u in zip(source.names, source.units)]
     for entry, row in zip(many, rows, strict=True):
         assert row[0][0] == entry.key
-        expected = [
-            v for i in range(2) for v in (entry.summary.rmse[i].value, entry.summary.std[i])
-        ]
+        expected = [v for i in range(2) for v in of_coordinate(entry.summary, i)]
         assert [float(value) for _, value in row[1:]] == expected
     key = many[1].key
     header, *rows = tables.cells[f"baseline {key}"]
