@@ -14,6 +14,8 @@ NEWTON_STEPS = 6
 RESTARTS = 4
 """How often the quasi-Newton search begins anew from the best point while that lowers the loss: a
 line search among failed candidates may end it early."""
+NEGLIGIBLE = 3e-4
+"""Length of the last Newton step, in standard errors of the estimate."""
 CURVATURE_STEP = 0.02
 """Distance of the candidates of a second difference, in the coordinate of the search."""
 
@@ -139,7 +141,11 @@ def _newton(problem: Problem) -> None:
         step[free] = -along @ ((along.T @ slope[free]) / values[firm])
         step *= min(1.0, 1.0 / max(np.abs(step).max(initial=0.0), 1e-300))
         ahead = np.clip(point + step, low, high)
-        if np.abs(ahead - point).max() < 1e-6:
+        decrement = np.sqrt(max(problem.evaluate.runs * float(step @ hessian @ step), 0.0))
+        if decrement < NEGLIGIBLE:  # the error that is left is of the order of its square
+            _, last = problem.at(ahead[None])
+            if last[0] <= loss + 1e-12 * abs(loss):
+                problem.best = ahead, float(last[0])
             return
         point = ahead
 

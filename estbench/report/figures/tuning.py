@@ -16,6 +16,8 @@ except ImportError:
 
 HEIGHT = 1.7
 """Inches of one set of axes."""
+WIDE = 20.0
+"""Ratio of the ends of a profile above which its axis is logarithmic."""
 
 
 def draw(tuned: Tuned, path: Path) -> None:
@@ -46,7 +48,7 @@ def _figure(tuned: Tuned) -> Figure:
         if parameter.kind == "choice":
             values = [str(v) for v in values]
         right.plot(counts, values, marker=".", color=palette.colour(0))
-        right.set_ylabel(parameter.key)
+        right.set_title(parameter.key)
         if parameter.log:
             right.set_yscale("log")
     below, aside = grid[-1]
@@ -55,7 +57,8 @@ def _figure(tuned: Tuned) -> Figure:
     below.plot(counts, np.where(gap > 0, gap, np.nan), marker=".", color=palette.colour(0))
     if (gap > 0).any():
         below.set_yscale("log")
-    below.set_ylabel("loss per run above the end")
+    below.set_ylabel("loss per run")
+    below.set_title("loss above that of the end")
     below.set_xlabel("candidates")
     grid[-2, 1].set_xlabel("candidates")
     aside.set_axis_off()
@@ -71,8 +74,8 @@ def _profile(axes, tuned: Tuned, index: int) -> None:
             label="curvature",
         )  # fmt: skip
     axes.axvline(tuned.values[index], color=palette.GREY, lw=0.7)
-    if parameter.log:
+    if parameter.log and profile.values.max() > WIDE * profile.values.min():
         axes.set_xscale("log")
-    axes.set_xlabel(parameter.key)
+    axes.set_title(parameter.key)
     axes.set_ylabel("loss of all runs")
     axes.legend(frameon=False)
