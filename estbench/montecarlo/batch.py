@@ -31,7 +31,8 @@ def trace_bytes(prepared: setup.Setup, dtype: str = "float64") -> int:
     space, count = prepared.space, len(prepared.scenario.estimators)
     live = prepared.scenario.control.observe == "estimate"
     numbers = count * (space.nx + 2 * space.n + 2) + space.nx * (count if live else 1)
-    a_step = numbers * np.dtype(dtype).itemsize + 8 * count  # dof is a whole number of 8 bytes
+    whole = 2 * 8 * count  # the degrees of freedom of NEES and of NIS
+    a_step = numbers * np.dtype(dtype).itemsize + whole
     return a_step * len(prepared.times) * prepared.scenario.simulation.runs
 
 

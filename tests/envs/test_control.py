@@ -38,7 +38,8 @@ def test_common_random_numbers_and_paired_differences():
 
 def test_the_runs_are_those_of_the_command_run():
     compared = compare("cartpole", ["ekf"], controller="lqr", runs=4, duration=0.5, seed=2)
-    prepared = setup.build(resolve("cartpole", ["ekf"], seed=2, duration=0.5))
+    truth = ['control.observe="truth"']
+    prepared = setup.build(resolve("cartpole", ["ekf"], seed=2, duration=0.5, overrides=truth))
     trajectory, task = simulated(prepared, 4), Task.build(prepared.scenario, prepared.plant)
     steps = list(zip(trajectory.x[1:], trajectory.u))
     cost = np.mean([task.cost(x, u) for x, u in steps], axis=0)

@@ -81,7 +81,8 @@ def test_attitudes_stay_unit_quaternions(name, body):
     space, output, dt = model.space, model.output(), 0.01
     start = space.quaternions[0, 0]
     truth, u = random_states(model.mjmodel, RUNS, scale=1.0)
-    filter = registry.create(name, {}, model)
+    # In 12 dimensions few particles survive a resampling without regularization.
+    filter = registry.create(name, {"regularization": 0.3} if name == "pf" else {}, model)
     rng = np.random.default_rng(0)
     P = 0.05 * random_cov(rng, space.n, RUNS)
     belief = filter.init(space.plus(truth, draw(rng, P)), P)
@@ -118,7 +119,7 @@ def test_a_nan_attitude_reading_fails_its_run_only(name):
     assert np.isnan(filter.mean(belief)[1]).all()
 
 
-@pytest.mark.parametrize("name", [name for name in EXACT if name != "iekf"])
+@pytest.mark.parametrize("name", [name for name in EXACT if name not in ("iekf", "iplf", "ipls")])
 def test_the_posterior_covariance_is_in_the_tangent_at_the_posterior(name):
     # Attitude and rate are measured in the state's own tangent, so H = I and even a large update is
     # linear there: P⁺ = J (P - P (P + R)⁻¹ P) Jᵀ with J the reset Jacobian of the correction.

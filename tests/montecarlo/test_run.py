@@ -129,11 +129,13 @@ class Keyed(EKF):
 
 
 def test_random_keys_belong_to_the_run_and_the_label():
-    SEEN.clear()
+    seen = []
     for label, size in (("a", 4), ("b", 4), ("b", 2)):
+        SEEN.clear()
         one = f"estimators={{{label}={{type='{__name__}:Keyed'}}}}"
         run(estimators=None, overrides=[one], runs=4, batch_size=size, workers=1)
-    a, b, first, second = SEEN
+        seen.append(SEEN[-(4 // size) :])  # those before are of the trial of the estimator
+    (a,), (b,), (first, second) = seen
     assert first + second == b
     assert len({*a, *b}) == 8
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from estbench.errors import EstbenchError, StoreError
 from estbench.report import sources
-from estbench.report.figures import data, innovations, plots
+from estbench.report.figures import data, innovations, paper, plots
 
 
 @pytest.mark.parametrize("what", plots.KINDS)
@@ -20,7 +20,7 @@ def test_every_kind_is_drawn_as_wide_as_it_should_be(entries, tmp_path, what, co
     assert (picture[..., :3].min(axis=2) < 0.8).mean() > 0.01  # there is ink
 
 
-@pytest.mark.parametrize("kind", plots.FORMATS)
+@pytest.mark.parametrize("kind", paper.FORMATS)
 def test_the_same_file_twice(entries, tmp_path, kind):
     for name in "ab":
         plots.plot(plots.Paper(entries("two")), "nees", tmp_path / f"{name}.{kind}")
