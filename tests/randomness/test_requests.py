@@ -26,7 +26,7 @@ EVERYTHING = [
     "channels.cart_encoder.rate=25.0",  # some steps have no reading
     'truth.draw={"body_mass.pole"={relative_std=0.2}, "body_mass.cart"={relative_std=0.1}}',
     "control={kind='random', std=0.5}",
-    "consistency.bound=false",  # it takes the drawn parameters again, on purpose
+    "bound=false",  # it takes the drawn parameters again, on purpose
     "filter.delays=naive",  # exact handling replays a step with the same numbers on purpose
 ]  # fmt: skip
 ESTIMATORS = {

@@ -52,9 +52,9 @@ LATE = [  # 20 Hz, due at 0.02, 0.07, ..., 30 ms late, in a loop of 10 ms
     "channels.pole_encoder.rate=20.0", "channels.pole_encoder.phase=0.02",
     "channels.pole_encoder.latency=0.03", "filter.channels.cart_encoder.follow_schedule=false",
 ]  # fmt: skip
-JITTER = [  # the bound asks for R at the time of sampling
+JITTER = [  # the bound and the reference ask for R at the time of sampling
     "channels.pole_encoder.jitter=0.01", "filter.channels.pole_encoder.timestamps=due",
-    "consistency.bound=false",
+    "bound=false", "control.observe='truth'",
 ]  # fmt: skip
 DURATION = 0.4
 DUE = [round(0.02 + 0.05 * k, 9) for k in range(8)]
