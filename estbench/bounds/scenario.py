@@ -15,7 +15,6 @@ from estbench.bounds.linearization import Linearization, Linearized
 from estbench.bounds.sensor_errors import WithSensorErrors, errors
 from estbench.experiment.setup import Setup
 from estbench.models.differences import Differences
-from estbench.randomness import streams
 from estbench.robots import backend, parameters
 from estbench.robots.model import MujocoModel, SensorChannel
 from estbench.robots.varied import Parameter, VariedBackend
@@ -109,10 +108,8 @@ def _system(setup: Setup, runs: Sequence[int]) -> tuple[Linearized, Float[Array,
     """The true robots of some runs, and a square root of the covariance of what is unknown."""
     blocks = [psd_root(setup.cov)]
     draws, known = setup.scenario.truth.draw, setup.scenario.bound == "known"
-    normals = {
-        key: streams.normals(setup.scenario.simulation.seed, runs, f"parameter:{key}", 1, 1)[0]
-        for key in draws
-    }
+    seed = setup.scenario.simulation.seed
+    normals = {key: parameters.normals(key, seed, runs) for key in draws}
     varied = []
     for key in () if known else draws:
         varied.append(_model(setup, {**normals, key: normals[key] + CHANGE}))
@@ -136,11 +133,8 @@ def _model(setup: Setup, normals: dict[str, Float[Array, "run 1"]]) -> MujocoMod
     own = []
     for key, z in normals.items():
         draw = setup.scenario.truth.draw[key]
-        field, index = parameters.parameter(plant.model, key, "truth.draw")
-        nominal = np.asarray(getattr(plant.model, field)[index])
-        own.append(
-            Parameter(field, index, parameters.drawn(nominal, draw.relative_std, draw.std, z))
-        )
+        spread = draw.relative_std, draw.std
+        own.append(Parameter(*parameters.of_normals(plant.model, key, spread, z)))
     engine = VariedBackend(backend.create(plant.model), own) if own else None
     differences = Differences(section.differences, section.step)
     return MujocoModel(

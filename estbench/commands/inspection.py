@@ -44,7 +44,7 @@ def mistakes(resolved: Scenario) -> list[str]:
     add(sensors=resolved.sensors, channels=resolved.channels, filter=sensed)
     if found:
         add()
-        # If the robot alone cannot be built either, it may have no sensor in its MJCF.
+        # If the robot alone cannot be built either, its own mistake hides all others.
         if len(found) > 1:
             return found[:1]
     add(filter=belief.model_copy(update={"channels": good.filter.channels}))

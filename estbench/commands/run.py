@@ -1,22 +1,25 @@
 """The command `run`; what it needs is imported when it runs."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from estbench.commands.shared import (
+    Address,
     Duration,
     Estimators,
     Json,
+    Out,
     Overrides,
+    Resume,
     Scenario,
     Seed,
+    Shard,
     console,
     progress,
     say,
+    shares,
 )
-from estbench.errors import ExecutorError
 
 
 def register(app: typer.Typer) -> None:
@@ -34,9 +37,7 @@ def run(
     seed: Seed = None,
     duration: Duration = None,
     overrides: Overrides = None,
-    out: Annotated[
-        Path | None, typer.Option(help="results folder; default results/SCENARIO-TIME")
-    ] = None,
+    out: Out = None,
     keep: Annotated[
         Literal["auto", "summary", "diagonal", "full"],
         typer.Option(
@@ -48,10 +49,8 @@ def run(
         Literal["float64", "float32"] | None,
         typer.Option(help="of the stored traces; default float64"),
     ] = None,
-    resume: Annotated[bool, typer.Option(help="go on with --out: compute what is missing")] = False,
-    shard: Annotated[
-        str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
-    ] = None,
+    resume: Resume = False,
+    shard: Shard = None,
     executor: Annotated[
         Literal["auto", "threads", "processes", "dask"],
         typer.Option(
@@ -59,7 +58,7 @@ def run(
             "threads"
         ),
     ] = "auto",
-    address: Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")] = None,
+    address: Address = None,
     workers: Annotated[
         int | None,
         typer.Option(min=1, help="threads or processes; default: all CPUs, as memory allows"),
@@ -94,17 +93,3 @@ def run(
         raise typer.Exit(130)
     if results.failed:  # the notes name the missing runs and the cause
         raise typer.Exit(1)
-
-
-def shares(text: str | None) -> tuple[int, int] | None:
-    """`I/N` as a pair of integers.
-
-    Raises:
-        ExecutorError: the text has another form.
-    """
-    if text is None:
-        return None
-    numbers = text.split("/")
-    if len(numbers) != 2 or not all(number.isdecimal() for number in numbers):
-        raise ExecutorError(f"--shard is '{text}'; use I/N, e.g. 1/4")
-    return int(numbers[0]), int(numbers[1])

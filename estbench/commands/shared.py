@@ -4,11 +4,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from estbench.errors import ExecutorError
 
 Scenario = Annotated[
     str, typer.Argument(help="bundled name, scenario .toml, MJCF .xml, or a results folder")
@@ -23,6 +26,12 @@ Estimators = Annotated[
 ]
 Seed = Annotated[int | None, typer.Option(help="seed of all random numbers")]
 Duration = Annotated[float | None, typer.Option(help="length of each run, s")]
+Out = Annotated[Path | None, typer.Option(help="results folder; default results/SCENARIO-TIME")]
+Resume = Annotated[bool, typer.Option(help="go on with --out: compute what is missing")]
+Shard = Annotated[
+    str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
+]
+Address = Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")]
 Json = Annotated[bool, typer.Option("--json", help="print JSON in place of tables")]
 
 
@@ -35,6 +44,20 @@ def console() -> Console:
 def say(line: str) -> None:
     """Print one line on standard error at once."""
     print(line, file=sys.stderr, flush=True)
+
+
+def shares(text: str | None) -> tuple[int, int] | None:
+    """`I/N` as a pair of integers.
+
+    Raises:
+        ExecutorError: the text has another form.
+    """
+    if text is None:
+        return None
+    numbers = text.split("/")
+    if len(numbers) != 2 or not all(number.isdecimal() for number in numbers):
+        raise ExecutorError(f"--shard is '{text}'; use I/N, e.g. 1/4")
+    return int(numbers[0]), int(numbers[1])
 
 
 @contextmanager

@@ -5,15 +5,19 @@ from typing import Annotated, Literal
 
 import typer
 
-from estbench.commands.run import shares
 from estbench.commands.shared import (
+    Address,
     Duration,
     Estimators,
+    Out,
     Overrides,
+    Resume,
     Scenario,
     Seed,
+    Shard,
     console,
     progress,
+    shares,
 )
 from estbench.errors import StudyError
 
@@ -46,18 +50,14 @@ def sweep(
     seed: Seed = None,
     duration: Duration = None,
     overrides: Overrides = None,
-    out: Annotated[
-        Path | None, typer.Option(help="results folder; default results/SCENARIO-TIME")
-    ] = None,
-    resume: Annotated[bool, typer.Option(help="go on with --out: compute what is missing")] = False,
-    shard: Annotated[
-        str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
-    ] = None,
+    out: Out = None,
+    resume: Resume = False,
+    shard: Shard = None,
     executor: Annotated[
         Literal["auto", "threads", "processes", "dask"],
         typer.Option(help="what computes the batches; see `estbench run --help`"),
     ] = "auto",
-    address: Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")] = None,
+    address: Address = None,
     workers: Annotated[int | None, typer.Option(min=1, help="threads or processes")] = None,
     plot: Annotated[
         Path | None, typer.Option(help="draw the sweep into this .png, .pdf or .svg")

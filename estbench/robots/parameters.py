@@ -13,7 +13,7 @@ import numpy as np
 
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.randomness import streams
-from estbench.shapes import Array
+from estbench.shapes import Array, Float
 
 LIMIT = 4.5
 """Draws are limited to so many standard deviations; 7 of a million normal draws exceed them."""
@@ -155,8 +155,19 @@ def of_runs(
         seed: of all runs, or one for each.
         runs: their numbers.
     """
+    return of_normals(model, key, spread, normals(key, seed, runs))
+
+
+def normals(key: str, seed: streams.Seeds, runs: Sequence[int]) -> Float[Array, "run 1"]:
+    """The standard normal number of each run from which a parameter is drawn."""
+    return streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
+
+
+def of_normals(
+    model: mujoco.MjModel, key: str, spread: tuple[float, float], z: Float[Array, "run 1"]
+) -> tuple[str, int | slice, Array]:
+    """As `of_runs`, from the standard normal numbers z."""
     field, index = parameter(model, key, "truth.draw")
-    z = streams.normals(seed, runs, f"parameter:{key}", 1, 1)[0]
     return field, index, drawn(getattr(model, field)[index], *spread, z)
 
 
