@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from estbench.estimators import registry
+from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import trajectory
-from estbench.experiment.setup import Setup
 from estbench.models.differences import Differences
 from estbench.models.function import FunctionModel
 from estbench.models.linear import LinearModel

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from estbench.bounds.expectation import Reading, follow
 from estbench.bounds.linearization import Linearization, Linearized
 from estbench.bounds.sensor_errors import WithSensorErrors, errors
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.models.differences import Differences
 from estbench.robots import backend, parameters
 from estbench.robots.model import MujocoModel, SensorChannel

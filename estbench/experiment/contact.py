@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.consistency import phases
 from estbench.experiment.build import watched
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.robots import contacts, mjcf, parameters
 from estbench.robots.contacts import Contacts
 from estbench.shapes import Array, Bool, Float, Mask

@@ -7,7 +7,7 @@ import numpy as np
 
 from estbench.errors import EstbenchError, EstimatorError, user_error_location
 from estbench.estimators.beliefs import Fault
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.inference.event_loop import Source, run_filter
 from estbench.inference.traces import Traces
 from estbench.randomness import streams

@@ -7,7 +7,7 @@ from functools import partial
 
 from estbench.consistency.fields import Record
 from estbench.errors import ExecutorError, StoreError
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.montecarlo import worker
 from estbench.montecarlo.pool import Failed, Pool, execute
 from estbench.store.zarr import Store

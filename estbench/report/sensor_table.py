@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from rich.console import Group
 from rich.text import Text
 
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.sensors.description import HEADINGS, ChannelDescription, describe
 from estbench.tables.columns import Column, Table
 

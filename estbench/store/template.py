@@ -9,7 +9,7 @@ from zarr.codecs import Crc32cCodec
 
 from estbench.consistency.fields import PHASES, Field
 from estbench.consistency.records import SIZES, SUMMARY, TRUTH, fields
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.inference.innovations import readings
 from estbench.robots.layout import state_names
 from estbench.scenario.schema import Scenario

@@ -27,7 +27,7 @@ import zarr
 from estbench.consistency.fields import Field, Record
 from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.scenario.load import changes
 from estbench.store import locks, versions
 from estbench.store.template import declare

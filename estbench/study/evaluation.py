@@ -11,7 +11,7 @@ from estbench.consistency.fields import Record
 from estbench.consistency.records import COST, SUMMARY
 from estbench.errors import EstbenchError
 from estbench.experiment import recording
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.simulation.sources import Trajectory
 
 KEPT = {name: f for name, f in {**SUMMARY, **COST}.items() if f.dims[0] == "run"}

@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.errors import StudyError
 from estbench.estimators import registry
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.robots import parameters as robots
 from estbench.robots.disturbance import axis_names
 from estbench.spaces.patterns import expand

@@ -6,7 +6,7 @@ import xarray
 
 import estbench
 from estbench.errors import EstimatorError, StoreError, StudyError
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.scenario.load import resolve
 from estbench.study import axes
 from estbench.study import run as running

@@ -5,7 +5,7 @@ import pytest
 
 import estbench
 from estbench.errors import StoreError, StudyError
-from estbench.experiment.setup import Setup
+from estbench.experiment.prepared import Setup
 from estbench.scenario.load import load
 
 Q, R = "filter.process_noise_scale", "filter.measurement_noise_scale"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
+from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import trajectory
-from estbench.experiment.setup import Setup
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import ChannelDescription
 from estbench.sensors.sampling import divided
