@@ -76,6 +76,7 @@ class Twin:
         self._env.mujoco_renderer = None
         self._env.data = data or mujoco.MjData(base.model)
         self._env._np_random = np.random.default_rng(0)  # should _get_obs draw noise of its own
+        self._own = {name: value for name, value in vars(self._env).items() if name in _OWN}
         self._quaternions = [
             slice(q, q + 4) for q in layout.state_space(base.model).quaternions[:, 0]
         ]
@@ -128,9 +129,11 @@ class Twin:
         Those that came since the last step are added, those that went are removed.
         """
         mine, theirs = vars(self._env), vars(self._base)
-        for name in mine.keys() - theirs.keys() - _OWN:
-            del mine[name]
-        mine.update({name: value for name, value in theirs.items() if name not in _OWN})
+        mine.update(theirs)
+        mine.update(self._own)
+        if len(mine) > len(theirs):
+            for name in mine.keys() - theirs.keys() - self._own.keys():
+                del mine[name]
         return self._env
 
     def _write(self, x: Array, t: float) -> None:

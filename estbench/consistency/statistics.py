@@ -231,7 +231,7 @@ SKEW = Statistic(
     variables={
         "mean_cube": Recorded(
             COORDINATE, "f8", "time average of the cubed error, (unit)³",
-            lambda b: b.average(b.traces.error**3),
+            lambda b: b.average(b.traces.error**2 * b.traces.error),
         )
     },
 )  # fmt: skip

@@ -3,7 +3,7 @@
 import inspect
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -59,6 +59,12 @@ class Gaussian:
     mean: Float[Array, "run nx"]
     cov: Float[Array, "run n n"]
     fault: UInt[Faults, " run"]
+
+    def moved(self, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]) -> Self:
+        """The belief with another x̂ and P: `dataclasses.replace` at a third of its cost."""
+        belief = object.__new__(type(self))
+        vars(belief).update(vars(self), mean=mean, cov=cov)
+        return belief
 
 
 def check_prior(

@@ -8,20 +8,19 @@ import numpy as np
 
 from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators import registry
-from estbench.estimators.beliefs import start
-from estbench.estimators.over import OverFilter
+from estbench.estimators.over import OverAugmented
 from estbench.estimators.protocol import Estimator
 from estbench.estimators.schmidt import SchmidtEKF
 from estbench.estimators.settings import base, names, table
 from estbench.models.augmented import Augmented
 from estbench.models.protocol import Model
-from estbench.shapes import Array, Float, Keys, UInt
+from estbench.shapes import Array, Float
 
 PerName = float | Sequence[float] | dict[str, float]
 
 
 @dataclass(frozen=True)
-class BiasFilter(OverFilter):
+class BiasFilter(OverAugmented):
     """A Gaussian filter on the model augmented with biases; mean and cov are of the original state.
 
     Each quantity is a number for all, a list, or {pattern: number} over the measurement coordinates
@@ -63,24 +62,6 @@ class BiasFilter(OverFilter):
             raise EstimatorError(f"{type(self).__name__}: {error}") from None
         object.__setattr__(self, "_augmented", augmented)
         object.__setattr__(self, "_filter", filter)
-
-    def init(
-        self,
-        mean: Float[Array, "run nx"],
-        cov: Float[Array, "run n n"],
-        keys: UInt[Keys, " run"] | None = None,
-    ) -> Any:
-        """Start from N(mean, cov) and zero biases; `keys` are for a filter that draws numbers."""
-        return start(self._filter, *self._augmented.augment(mean, cov), keys)
-
-    def mean(self, belief: Any) -> Float[Array, "run nx"]:
-        """The estimate x̂, without the biases."""
-        return self._filter.mean(belief)[:, : self.model.space.nx]
-
-    def cov(self, belief: Any) -> Float[Array, "run n n"]:
-        """The covariance P, without the biases."""
-        n = self.model.space.n
-        return self._filter.cov(belief)[:, :n, :n]
 
     def biases(self, belief: Any) -> dict[str, tuple[Float[Array, " run"], Float[Array, " run"]]]:
         """Name -> estimate and standard deviation of each bias and unknown input."""

@@ -1,6 +1,6 @@
 """Continuous-discrete extended Kalman filter (Bishop, eq. 4-11, 17-21)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -68,7 +68,7 @@ class ContinuousDiscreteEKF(EKF):
         else:
             mean, Phi, Q = self._adaptive(belief.mean, u, t, dt)
         cov = symmetrize(Phi @ belief.cov @ Phi.mT + Q)
-        return mark_failed(replace(belief, mean=mean, cov=cov))
+        return mark_failed(belief.moved(mean, cov))
 
     def _adaptive(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array, Array]:
         """As `integrate_moments`, by scipy's RK45; NaN for the runs that it cannot integrate.

@@ -1,6 +1,6 @@
 """Extended Kalman filter, discrete (Bishop, eq. 11, 17, 19-21; source 001; source 003, eq. 6-8)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.linear import FORMS, Form, linear_update
@@ -36,7 +36,7 @@ class EKF(GaussianEstimator):
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + Q)
-        return mark_failed(replace(belief, mean=mean, cov=cov))
+        return mark_failed(belief.moved(mean, cov))
 
     def update(
         self,

@@ -8,7 +8,6 @@ import numpy as np
 
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.beliefs import start
 from estbench.estimators.over import OverFilter
 from estbench.estimators.posterior_linearization import Measured, Whitened, condition
 from estbench.estimators.protocol import Innovation
@@ -17,7 +16,7 @@ from estbench.estimators.sigma_points import SigmaPoints
 from estbench.estimators.ukf import MEASUREMENT, SigmaPointFilter, failed_factor
 from estbench.estimators.update import apply_correction
 from estbench.models.protocol import Channels, Model
-from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
+from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import symmetrize
 from estbench.spaces.semidefinite import psd_root
 
@@ -65,15 +64,6 @@ class IPLF(OverFilter):
                 "linearization has points of its own"
             )
         object.__setattr__(self, "_filter", filter)
-
-    def init(
-        self,
-        mean: Float[Array, "run nx"],
-        cov: Float[Array, "run n n"],
-        keys: UInt[Keys, " run"] | None = None,
-    ) -> Any:
-        """The base filter's start; `keys` are for one that draws random numbers."""
-        return start(self._filter, mean, cov, keys)
 
     def update(
         self,

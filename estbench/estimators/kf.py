@@ -80,7 +80,7 @@ class KF(GaussianEstimator):
         )
         Q = model.process_noise(point, u, t, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + Q)
-        return cast(FixedBelief, mark_failed(replace(belief, mean=mean, cov=cov)))
+        return cast(FixedBelief, mark_failed(belief.moved(mean, cov)))
 
     def update(
         self,

@@ -98,7 +98,7 @@ def apply_correction(
 ) -> Gaussian:
     """The posterior x̂⁻ ⊞ δ, its covariance mapped to the tangent there; failed runs are marked."""
     return mark_failed(
-        replace(prior, mean=space.plus(prior.mean, delta), cov=space.transport(cov, delta)), fault
+        prior.moved(space.plus(prior.mean, delta), space.transport(cov, delta)), fault
     )
 
 

@@ -121,10 +121,13 @@ class Lags:
         out = np.full((count, self._runs, len(self._widths)), np.nan)
         for i, name in enumerate(self._widths):
             instants, white, came = self._arrivals(name)
-            square, number = np.zeros((2, count, self._runs))
-            np.add.at(square, instants, np.where(came, white**2, 0.0).sum(axis=-1))
-            np.add.at(number, instants, came.sum(axis=-1))
-            np.divide(square, number, out=out[..., i], where=number > 0)
+            if not len(instants):
+                continue
+            first = np.flatnonzero(np.diff(instants, prepend=-1))  # of each instant's updates
+            squares = np.where(came, white**2, 0.0).sum(axis=-1)
+            square, number = (np.add.reduceat(a, first) for a in (squares, came.sum(axis=-1)))
+            mean = np.full(square.shape, np.nan)
+            out[instants[first], :, i] = np.divide(square, number, out=mean, where=number > 0)
         return out
 
     def _arrivals(

@@ -157,23 +157,25 @@ class LiveFilter:
         """
         with quiet():
             error = self.space.minus(truth, self.estimate)
-            size = self.space.magnitude(truth), self.space.magnitude(self.estimate)
-            self._size = np.fmax(self._size, np.fmax(*size))
+            for x in (truth, self.estimate):
+                self._size = np.fmax(self._size, self.space.magnitude(x))
             nees, nees_dof = self._nees(error)
         diverged = nees > self._threshold * np.maximum(nees_dof, 1)
-        if np.count_nonzero(self.failed) or not surely_finite(nees):
+        nis, innovation = self.nis.copy(), self.innovation.copy()
+        if np.count_nonzero(self.failed) or not surely_finite(nees, nis, innovation):
             bad = ~np.isfinite(nees) | self.failed
             nees[bad] = np.inf
             diverged = self.failed | (diverged & ~bad)
+            nis, innovation = np.nan_to_num(nis, nan=np.inf), np.nan_to_num(innovation)
         return {
             "truth": truth.copy(),
             "estimate": self.estimate.copy(),
             "error": error,
             "nees": nees,
             "nees_dof": nees_dof,
-            "nis": _without_nan(self.nis, np.inf),
+            "nis": nis,
             "nis_dof": self.dof.copy(),
-            "innovation": _without_nan(self.innovation),
+            "innovation": innovation,
             "diverged": diverged,
         }
 
@@ -261,8 +263,3 @@ def _of(delivery: Delivery, rows: Ints, going: Mask) -> Delivery | None:
         return None
     due = delivery.due if isinstance(delivery.due, int) else delivery.due[rows]
     return replace(delivery, due=due, y=delivery.y[rows], mask=None if mask.all() else mask)
-
-
-def _without_nan(values: Array, instead: float = 0.0) -> Array:
-    """A copy, with a number for NaN."""
-    return values.copy() if surely_finite(values) else np.nan_to_num(values, nan=instead)

@@ -1,19 +1,38 @@
 """Batches on workers: the outcome of each, and when to give up."""
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from functools import partial
+from pathlib import Path
 
 from estbench.consistency.fields import Record
 from estbench.errors import ExecutorError, StoreError
 from estbench.experiment.prepared import Setup
 from estbench.montecarlo import worker
-from estbench.montecarlo.pool import Failed, Pool, execute
+from estbench.montecarlo.pool import Pool, work_off
 from estbench.store.zarr import Store
 
 Progress = Callable[[int, int], None]
 """Called with the count of finished runs and that of all runs."""
+
+
+def check_shard(shard: tuple[int, int] | None) -> None:
+    """Check the number of a share and the count of shares.
+
+    Raises:
+        ExecutorError: it is no (i, n) with 1 <= i <= n.
+    """
+    if shard is not None and not 1 <= shard[0] <= shard[1]:
+        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+
+
+def check_folder(out: str | Path | None, resume: bool, shard: tuple[int, int] | None) -> None:
+    """Check that there is a folder to go on with.
+
+    Raises:
+        StoreError: there is none.
+    """
+    for name, given in (("resume", resume), ("shard", shard is not None)):
+        if given and out is None:
+            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
 
 
 def compute(
@@ -47,28 +66,20 @@ def compute(
     folder = None if target is None else str(target.folder.resolve())
     tasks = [worker.Task(toml, keep, folder, i, (r.start, r.stop)) for i, r in batches.items()]
     failed: dict[int, Exception] = {}
-    total, finished = sum(map(len, batches.values())), 0
-    stopping = threading.Event()
-    work = worker.work
-    if using.local:
-        work = partial(work, stop=stopping.is_set, prepared=prepared)
-    try:
-        with closing(execute(work, tasks, using, stopping.set)) as outcomes:
-            for outcome in outcomes:
-                if isinstance(outcome, Failed):
-                    failed[outcome.task.index] = outcome.error
-                    _give_up(outcome.error, target, done, len(failed))
-                    continue
-                task, result = outcome
-                if result is None:
-                    continue
-                done[task.index] = result
-                finished += len(batches[task.index])
-                if progress is not None:
-                    progress(finished, total)
-    except KeyboardInterrupt:
-        return done, failed, True
-    return done, failed, False
+    total, computed = sum(map(len, batches.values())), 0
+
+    def lost(task: worker.Task, error: Exception) -> None:
+        failed[task.index] = error
+        _give_up(error, target, done, len(failed))
+
+    def finished(task: worker.Task, result: dict[str, Record]) -> None:
+        nonlocal computed
+        done[task.index] = result
+        computed += len(batches[task.index])
+        if progress is not None:
+            progress(computed, total)
+
+    return done, failed, work_off(worker.work, tasks, using, prepared, finished, lost)
 
 
 def _give_up(

@@ -6,6 +6,7 @@ that kills its worker is identified and reported while the others complete. A ta
 memory is tried again in the same way, while no other task takes any.
 """
 
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import (
@@ -16,7 +17,9 @@ from concurrent.futures import (
     Future,
     wait,
 )
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from estbench.errors import ExecutorError
@@ -48,6 +51,43 @@ class Pool:
     """Whether tasks run in this process's memory."""
     lost: Callable[[], bool] = lambda: False
     """Whether the workers are gone although their futures do not end."""
+
+
+def work_off(
+    function: Callable[..., Any],
+    tasks: Sequence[T],
+    using: Pool,
+    prepared: Any,
+    finished: Callable[[T, Any], None],
+    failed: Callable[[T, Exception], None],
+) -> bool:
+    """Run tasks to their end, or to Ctrl-C.
+
+    Args:
+        function: called with each task, in this process also with `stop` and `prepared`; it returns
+            the task and its result, None when stopped.
+        tasks: see `execute`.
+        using: the workers.
+        prepared: what workers in this process need not build again.
+        finished: called with each task that has a result.
+        failed: called with each task that has none, and its error.
+
+    Returns:
+        Whether Ctrl-C came.
+    """
+    stopping = threading.Event()
+    if using.local:
+        function = partial(function, stop=stopping.is_set, prepared=prepared)
+    try:
+        with closing(execute(function, tasks, using, stopping.set)) as outcomes:
+            for outcome in outcomes:
+                if isinstance(outcome, Failed):
+                    failed(outcome.task, outcome.error)
+                elif outcome[1] is not None:
+                    finished(*outcome)
+    except KeyboardInterrupt:
+        return True
+    return False
 
 
 def execute(

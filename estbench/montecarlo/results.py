@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.text import Text
 
 from estbench.consistency import statistics
@@ -18,6 +18,7 @@ from estbench.consistency.verdict import Verdict
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.tables import phases as phase_table
+from estbench.tables import writers
 from estbench.tables.cells import cell, per_coordinate, plain, value_of
 from estbench.tables.columns import Column, Table
 
@@ -71,10 +72,7 @@ class Results:
         return {s.label: s for s in self.summaries}[label]
 
     def __str__(self) -> str:
-        console = Console(width=WIDTH, no_color=True, force_terminal=False, highlight=False)
-        with console.capture() as capture:
-            console.print(self.render())
-        return "\n".join(line.rstrip() for line in capture.get().splitlines())
+        return writers.printed(self.render(), width=WIDTH)
 
     @property
     def length(self) -> str:

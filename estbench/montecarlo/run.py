@@ -133,8 +133,7 @@ def _check(
     batch_size: int | None,
 ) -> None:
     """Check the arguments, each by itself and in combination."""
-    if shard is not None and not 1 <= shard[0] <= shard[1]:
-        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+    dispatch.check_shard(shard)
     for name, value in (("batch_size", batch_size), ("workers", workers)):
         if value is not None and value < 1:
             raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
@@ -144,9 +143,7 @@ def _check(
     ):
         if value not in known:
             raise StoreError(f"{name} is {value!r}; use one of {', '.join(known)}")
-    for name, given in (("resume", resume), ("shard", shard is not None)):
-        if given and out is None:
-            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
+    dispatch.check_folder(out, resume, shard)
     if address is not None and executor != "dask":
         raise ExecutorError(
             f"address is {address!r}, that of a dask scheduler, but executor is {executor!r}; add "

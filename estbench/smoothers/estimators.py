@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
-from estbench.estimators.beliefs import Gaussian, start
+from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.factors import FactorBelief
 from estbench.estimators.iplf import IPLF
 from estbench.estimators.over import OverFilter
@@ -17,7 +17,7 @@ from estbench.estimators.protocol import Estimator, FilterHistory
 from estbench.estimators.settings import base, in_range, one_of, table, whole
 from estbench.estimators.ukf import SigmaPointFilter
 from estbench.models.protocol import Model
-from estbench.shapes import Array, Float, Keys, UInt
+from estbench.shapes import Array, Float
 from estbench.smoothers.backward import gaussian
 from estbench.smoothers.ipls import ipls
 from estbench.smoothers.map import map_estimate
@@ -48,15 +48,6 @@ class FilterThenSmooth(OverFilter):
         table(self, "settings")
         base(self, self.bases)
         object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))
-
-    def init(
-        self,
-        mean: Float[Array, "run nx"],
-        cov: Float[Array, "run n n"],
-        keys: UInt[Keys, " run"] | None = None,
-    ) -> Any:
-        """The filter's start; `keys` are for a filter that draws random numbers."""
-        return start(self._filter, mean, cov, keys)
 
     def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, filtered or smoothed."""

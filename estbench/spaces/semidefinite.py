@@ -133,9 +133,8 @@ def full_rank(
     resolution: Float[Array, "*any n"],
 ) -> Bool[Mask, "*any n"]:
     """Which pivots of a triangular factor of P say that P has full rank; see `range_form`."""
-    pivots = np.diagonal(factor, axis1=-2, axis2=-1) ** 2
-    variance = np.diagonal(cov, axis1=-2, axis2=-1)
-    return pivots > np.maximum(ROUNDING * variance, resolution**2)
+    pivots, variance = (a.diagonal(0, -2, -1) for a in (factor, cov))
+    return pivots * pivots > np.maximum(ROUNDING * variance, resolution * resolution)
 
 
 def _on_range(cov: Array, v: Array, floor: Array) -> tuple[Array, Ints, Mask]:

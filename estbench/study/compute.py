@@ -1,14 +1,12 @@
 """A study on workers: each task is one group of variants on one batch of runs."""
 
-import threading
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 
 from estbench.experiment.setup import Setup, build, variant
 from estbench.montecarlo.dispatch import Progress
-from estbench.montecarlo.pool import Failed, Pool, execute
+from estbench.montecarlo.pool import Pool, work_off
 from estbench.scenario.load import parse
 from estbench.study.design import Study
 from estbench.study.evaluation import Outcome, evaluate, simulated
@@ -74,26 +72,18 @@ def compute(
     size = {(g, b): len(prepared[g]) * len(batches[b]) for g, b in wanted}
     total, done = sum(size.values()), 0
     errors: dict[Piece, Exception] = {}
-    stopping = threading.Event()
-    function = work
-    if using.local:
-        function = partial(work, stop=stopping.is_set, prepared=prepared)
-    try:
-        with closing(execute(function, tasks, using, stopping.set)) as finished:
-            for outcome in finished:
-                if isinstance(outcome, Failed):
-                    errors[outcome.task.piece] = outcome.error
-                    continue
-                task, result = outcome
-                if result is None:
-                    continue
-                keep(task.piece, result)
-                done += size[task.piece]
-                if progress is not None:
-                    progress(done, total)
-    except KeyboardInterrupt:
-        return errors, True
-    return errors, False
+
+    def failed(task: Task, error: Exception) -> None:
+        errors[task.piece] = error
+
+    def finished(task: Task, result: Outcomes) -> None:
+        nonlocal done
+        keep(task.piece, result)
+        done += size[task.piece]
+        if progress is not None:
+            progress(done, total)
+
+    return errors, work_off(work, tasks, using, prepared, finished, failed)
 
 
 def work(

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from estbench.errors import ExecutorError, Interrupted, StoreError, StudyError
+from estbench.errors import Interrupted, StudyError
 from estbench.montecarlo import batch, executors
-from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo.dispatch import Progress, check_folder, check_shard
 from estbench.store.template import lengths
 from estbench.study import compute as computing
 from estbench.study.compute import Outcomes, Piece
@@ -46,11 +46,8 @@ def run(
     Raises:
         EstbenchError: the input is wrong; nothing has been written.
     """
-    for name, given in (("resume", resume), ("shard", shard is not None)):
-        if given and out is None:
-            raise StoreError(f"{name} needs the folder that it fills; name it with --out")
-    if shard is not None and not 1 <= shard[0] <= shard[1]:
-        raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
+    check_folder(out, resume, shard)
+    check_shard(shard)
     prepared = computing.prepare(study)
     bases = [group[0] for group in prepared]
     names = {base.space.names for base in bases}

@@ -2,23 +2,30 @@
 
 from collections.abc import Sequence
 
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.text import Text
 
 from estbench.tables.columns import Table
 
 
 def text(tables: Sequence[Table], width: int = 100) -> str:
     """For a terminal of `width` characters; columns that do not fit go on in a table below."""
+    parts: list[RenderableType] = []
+    for table in tables:
+        parts.append(Text(f"{table.title}:" if table.columns else table.title))
+        parts += [table] if table.columns else []
+        parts += [Text(table.note)] if table.note else []
+        parts.append("")
+    return printed(*parts, width=width).rstrip()
+
+
+def printed(*parts: RenderableType, width: int = 100) -> str:
+    """What rich prints for a terminal of `width` characters, without colours."""
     console = Console(width=width, no_color=True, force_terminal=False, highlight=False)
     with console.capture() as capture:
-        for table in tables:
-            console.print(f"{table.title}:" if table.columns else table.title, markup=False)
-            if table.columns:
-                console.print(table)
-            if table.note:
-                console.print(table.note, markup=False)
-            console.print()
-    return "\n".join(line.rstrip() for line in capture.get().splitlines()).rstrip()
+        for part in parts:
+            console.print(part)
+    return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
 def markdown(tables: Sequence[Table]) -> str:

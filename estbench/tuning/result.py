@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.text import Text
 
 from estbench.consistency import statistics
@@ -14,6 +14,7 @@ from estbench.consistency.intervals import Interval
 from estbench.consistency.statistics import RMSE
 from estbench.scenario.schema import Scenario
 from estbench.study import keys
+from estbench.tables import writers
 from estbench.tables.cells import cell, plain, value_of
 from estbench.tables.columns import Column, Table
 from estbench.tables.quantity import number, quantity
@@ -74,10 +75,7 @@ class Tuned:
         return {p.key: v for p, v in zip(self.parameters, self.values)}[key]
 
     def __str__(self) -> str:
-        console = Console(width=WIDTH, no_color=True, force_terminal=False, highlight=False)
-        with console.capture() as capture:
-            console.print(self.render())
-        return "\n".join(line.rstrip() for line in capture.get().splitlines())
+        return writers.printed(self.render(), width=WIDTH)
 
     @property
     def level(self) -> float:
