@@ -52,7 +52,7 @@ class Target:
 
 def ant(kind: str, runs: int, steps: int) -> setup.Setup:
     """Gymnasium's ant, shaken, with 21 sensor values."""
-    overrides = [*ANT, f"simulation.duration={steps * 0.01}"]
+    overrides = [*ANT, f"simulation.duration={steps * 0.01}", "bound=false"]
     resolved = scenario.load("examples/gymnasium/ant.toml", overrides)
     return setup.build(experiment.resolve(resolved, [kind], runs=runs))
 

@@ -33,7 +33,9 @@ TACHOS = [
 
 def prepare(estimator: str, runs: int, steps: int) -> setup.Setup:
     """The benchmark's scenario for one estimator."""
-    overrides = [*TACHOS, f"simulation.duration={steps * 0.01}", "control.observe=truth"]
+    overrides = [
+        *TACHOS, f"simulation.duration={steps * 0.01}", "control.observe=truth", "bound=false",
+    ]  # fmt: skip
     resolved = scenario.load("cartpole", overrides)
     resolved = experiment.resolve(resolved, [estimator], runs=runs)
     return setup.build(resolved)

@@ -12,5 +12,5 @@ settings.load_profile("estbench")
 
 
 @pytest.fixture(autouse=True)
-def _check_shapes():
-    typecheck.begin_test()
+def _check_shapes(request):
+    typecheck.begin_test(request.node.nodeid.partition("[")[0])

@@ -2,7 +2,7 @@
 
 `install` puts a hook into the import system. In every module of `PACKAGES` it wraps the functions,
 methods and dataclasses whose annotations have shapes (jaxtyping); the first `CALLS` calls of each
-in every test are checked by beartype. A call is checked when it has returned: where estbench itself
+in every test function are checked by beartype. A call is checked when it has returned: where estbench itself
 refuses an argument, its error is the one that is raised.
 
 jaxtyping's own hook checks every call of every function, which doubles the time of the tests.
@@ -34,14 +34,14 @@ UNCHECKED = {"Innovation"}
 
 
 class _Test:
-    """The number of the test that runs."""
+    """The test function that runs, whatever its parameters."""
 
-    number = 0
+    name = ""
 
 
-def begin_test() -> None:
-    """Check the next calls of every function again."""
-    _Test.number += 1
+def begin_test(name: str) -> None:
+    """Check the next calls of every function again, if another test function begins."""
+    _Test.name = name
 
 
 def install() -> None:
@@ -109,13 +109,13 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     if not hints:
         return function
     signature, where = inspect.signature(function), f"{function.__module__}.{function.__qualname__}"
-    test, left = -1, 0
+    test, left = None, 0
 
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         nonlocal test, left
         result = function(*args, **kwargs)
-        if test != _Test.number:
-            test, left = _Test.number, CALLS
+        if test != _Test.name:
+            test, left = _Test.name, CALLS
         if left:
             left -= 1
             values = {**signature.bind(*args, **kwargs).arguments, "return": result}

@@ -7,6 +7,8 @@ import numpy as np
 from estbench.inference.run_subset import ALL, RunIndex
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
+Arrivals = tuple[Int[Ints, " arrival"], Float[Array, "arrival run m"], Bool[Mask, "arrival run m"]]
+"""The instants at which a channel arrived in any run, ν̃, and in which runs it arrived."""
 Noted = tuple[Sequence[str], Float[Array, "run m"], Bool[Mask, "run m"] | None]
 """Channels, ν̃ and mask of one update."""
 
@@ -46,6 +48,7 @@ class Lags:
     def __init__(self, runs: int, widths: Mapping[str, int]):
         self._runs, self._widths = runs, dict(widths)
         self._noted: dict[tuple[int, int], Noted] = {}
+        self._found: dict[str, Arrivals] = {}  # of a channel, until more is noted
 
     def put(
         self,
@@ -70,6 +73,7 @@ class Lags:
             before = self._noted.get((instant, layer))
             white, mask = self._among_others(before, channels, white, mask, rows)
         self._noted[instant, layer] = (channels, white, mask)
+        self._found.clear()
 
     def _among_others(
         self,
@@ -130,23 +134,23 @@ class Lags:
             out[instants[first], :, i] = np.divide(square, number, out=mean, where=number > 0)
         return out
 
-    def _arrivals(
-        self, name: str
-    ) -> tuple[Int[Ints, " arrival"], Float[Array, "arrival run m"], Bool[Mask, "arrival run m"]]:
-        """The instants at which a channel arrived in any run, ν̃, and in which runs it arrived."""
-        width = self._widths[name]
+    def _arrivals(self, name: str) -> Arrivals:
+        """Those of a channel."""
+        if name in self._found:
+            return self._found[name]
+        shape = self._runs, self._widths[name]
         instants: list[int] = []
-        whites, masks = [np.empty((0, self._runs, width))], [np.empty((0, self._runs, width), bool)]
+        whites, masks = [np.empty((0, *shape))], [np.empty((0, *shape), bool)]
         for key in sorted(self._noted):
             channels, white, mask = self._noted[key]
             if name in channels:
                 part = np.s_[:, self._columns(channels, name)]
                 instants.append(key[0])
                 whites.append(white[part][None])
-                masks.append(
-                    np.ones((1, self._runs, width), bool) if mask is None else mask[part][None]
-                )
-        return np.array(instants, np.int64), np.concatenate(whites), np.concatenate(masks)
+                masks.append(np.ones((1, *shape), bool) if mask is None else mask[part][None])
+        found = np.array(instants, np.int64), np.concatenate(whites), np.concatenate(masks)
+        self._found[name] = found
+        return found
 
     @staticmethod
     def _in_order(
