@@ -2,8 +2,8 @@
 
 `install` puts a hook into the import system. In every module of `PACKAGES` it wraps the functions,
 methods and dataclasses whose annotations have shapes (jaxtyping); the first `CALLS` calls of each
-in every test function are checked by beartype. A call is checked when it has returned: where estbench itself
-refuses an argument, its error is the one that is raised.
+in every test function are checked by beartype. A call is checked when it has returned: where
+estbench itself refuses an argument, its error is the one that is raised.
 
 jaxtyping's own hook checks every call of every function, which doubles the time of the tests.
 """
