@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from estbench.consistency.records import RESERVED
-from estbench.errors import EstbenchError, EstimatorError, ScenarioError, user_error_location
+from estbench.errors import (
+    CovarianceError,
+    EstbenchError,
+    EstimatorError,
+    ScenarioError,
+    user_error_location,
+)
 from estbench.estimators.of_state import OfState
 from estbench.estimators.protocol import ScheduleCheck
 from estbench.experiment import believed as believing
@@ -101,8 +107,8 @@ def build(scenario: Scenario) -> Setup:
         mean=mean,
         cov=cov,
         notices=tuple(notices),
-        reference=_reference(scenario),
     )
+    setup = replace(setup, reference=_reference(setup))
     for key, draw in scenario.truth.draw.items():
         parameters.check_draw(truth, key, draw.relative_std, draw.std)
     resolution.watched(scenario, truth)
@@ -162,28 +168,35 @@ def _with_estimators(setup: Setup) -> Setup:
     return setup
 
 
-def _reference(scenario: Scenario) -> Setup | None:
+def _reference(setup: Setup) -> Setup | None:
     """The experiment of the reference estimator: the true model, the prior of the truth.
 
     Raises:
         EstimatorError: it looks back.
+        CovarianceError: it would take a channel for exact.
         EstbenchError: it cannot be built.
     """
-    control = scenario.control
+    scenario, control = setup.scenario, setup.scenario.control
     if control.observe != "reference" or control.kind not in controllers.CLOSED_LOOP:
         return None
+    for channel in setup.channels:
+        if not np.diag(channel.cov).all():
+            raise CovarianceError(
+                f"channels.{channel.name}.noise is 0, and the reference estimator takes the true "
+                'R, which must be positive definite; use a std above 0, or control.observe="truth"'
+            )
     parts = {
         "filter": FilterSection(),
         "start": StartSection(),
         "estimators": {reference.LABEL: control.estimator},
         "control": ControlSection(),
     }
-    setup = build(scenario.model_copy(update=parts))
-    if hasattr(setup.estimator(reference.LABEL), "smooth"):
+    made = variant(setup, scenario.model_copy(update=parts))
+    if hasattr(made.estimator(reference.LABEL), "smooth"):
         raise EstimatorError(
             f"control.estimator is {control.estimator}, a smoother, which looks back; name a filter"
         )
-    return setup
+    return made
 
 
 def _check_window(setup: Setup, label: str) -> None:
