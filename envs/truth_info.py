@@ -1,34 +1,48 @@
 """The true state in `info`, for a vector of environments in other processes."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from estbench.envs.adopt import mujoco_parts
+from estbench.envs.member import Member
+from estbench.envs.place import Given, Place
+from estbench.robots.fields import Fields
 
-KEYS = ("estbench_x", "estbench_u", "estbench_t")
+STATE, MODEL = "estbench_state", "estbench_model"
+
+
+@dataclass(frozen=True, eq=False)
+class Sent:
+    """The fields of a model; one object, which Gymnasium does not take apart by rows."""
+
+    fields: Fields
 
 
 class RecordTruth(gym.Wrapper, RecordConstructorArgs):
-    """Adds state, controls and time of a MuJoCo environment to `info`.
+    """Adds state and inputs of a MuJoCo environment to `info`, and its model where that changes.
 
     `VectorEstimatedObservation` reads them from `info`: give this as one of `wrappers` to
     `gymnasium.make_vec`. It needs them for same-step autoreset, and they are the fastest way from
     the processes of an `AsyncVectorEnv`.
+
+    Args:
+        env: the environment.
+        model, data: where they are, as for `estbench.envs.EstimatedObservation`.
     """
 
-    def __init__(self, env: gym.Env):
-        RecordConstructorArgs.__init__(self)
+    def __init__(self, env: gym.Env, model: Given = "follow", data: Given = None):
+        RecordConstructorArgs.__init__(self, model=model, data=data)
         gym.Wrapper.__init__(self, env)
-        _, self._data = mujoco_parts(env)
+        self._member = Member(env, Place(env, model, data))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """As the environment, with the state in `info`."""
         observation, info = self.env.reset(seed=seed, options=options)
+        self._member.begin()
         return observation, {**info, **self._record()}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -37,6 +51,6 @@ class RecordTruth(gym.Wrapper, RecordConstructorArgs):
         return observation, reward, terminated, truncated, {**info, **self._record()}
 
     def _record(self) -> dict[str, Any]:
-        data = self._data
-        x = np.concatenate([data.qpos, data.qvel, data.act])
-        return dict(zip(KEYS, (x, np.array(data.ctrl), float(data.time))))
+        changes = self._member.changes()
+        model = {} if changes is None else {MODEL: Sent(changes)}
+        return {STATE: self._member.state(), **model}

@@ -10,6 +10,7 @@ from gymnasium import spaces
 
 from estbench.envs.errors import EnvError
 from estbench.robots import layout
+from estbench.robots.given import INPUTS
 from estbench.shapes import Array
 
 _OWN = frozenset(("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec"))
@@ -33,6 +34,11 @@ def check_twin(env: gym.Env) -> None:
         EnvError: it lacks a method, or wrappers have changed its observation.
     """
     base: Any = env.unwrapped
+    if not isinstance(vars(base).get("data"), mujoco.MjData):
+        raise EnvError(
+            f"observe='env' needs {type(base).__name__}.data, MuJoCo's data under this name; use "
+            "observe='state', 'belief' or 'raw'"
+        )
     for name in ("_get_obs", "do_simulation"):
         if not callable(getattr(base, name, None)):
             raise EnvError(
@@ -86,7 +92,7 @@ class Twin:
         """MuJoCo's data of the twin, which remember the last step."""
         return self._env.data
 
-    def reset(self, x: Array, truth: Array, t: float = 0.0) -> Any:
+    def reset(self, x: Array, truth: Array, inputs: Array, t: float = 0.0) -> Any:
         """The observation of a new episode.
 
         Gymnasium's environments start with quaternions that are not of unit length, and show these;
@@ -96,10 +102,12 @@ class Twin:
         Args:
             x: estimate `(nx,)`.
             truth: true state `(nx,)`.
+            inputs: all inputs, see `robots.given`.
             t: time, s.
         """
         env = self._sync()
         mujoco.mj_resetData(env.model, env.data)
+        mujoco.mj_setState(env.model, env.data, inputs, INPUTS)
         x = x.copy()
         for part in self._quaternions:
             x[part] *= np.linalg.norm(truth[part]) / np.linalg.norm(x[part])
@@ -107,19 +115,20 @@ class Twin:
         mujoco.mj_forward(env.model, env.data)
         return self._observation()
 
-    def step(self, before: Array, u: Array, nstep: int, x: Array, t: float) -> Any:
+    def step(self, before: Array, inputs: Array, nstep: int, x: Array, t: float) -> Any:
         """The observation after a step.
 
         Args:
             before: the last estimate `(nx,)`.
-            u: controls that were applied `(nu,)`.
+            inputs: all inputs that were held, see `robots.given`.
             nstep: physics steps.
             x: the new estimate `(nx,)`.
             t: time at x, s.
         """
         env = self._sync()
         self._write(before, t - nstep * env.model.opt.timestep)
-        env.do_simulation(u, nstep)
+        mujoco.mj_setState(env.model, env.data, inputs, INPUTS)
+        env.do_simulation(inputs[: env.model.nu], nstep)
         self._write(x, t)
         return self._observation()
 
@@ -129,6 +138,8 @@ class Twin:
         Those that came since the last step are added, those that went are removed.
         """
         mine, theirs = vars(self._env), vars(self._base)
+        if self._own["model"] is not theirs["model"]:  # the environment has made another one
+            self._own |= {"model": theirs["model"], "data": mujoco.MjData(theirs["model"])}
         mine.update(theirs)
         mine.update(self._own)
         if len(mine) > len(theirs):

@@ -11,17 +11,19 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.vector.utils import batch_space
 
 from estbench.envs.actions import check_finite
-from estbench.envs.adopt import check_not_reset
 from estbench.envs.copies import carried, restore
 from estbench.envs.episodes import Episodes
 from estbench.envs.errors import EnvError, not_running
+from estbench.envs.member import Member, state_of
+from estbench.envs.place import Given, Place
 from estbench.envs.rows import add_final, reset_mask, row_seeds, vector_info
-from estbench.envs.truth_info import KEYS
+from estbench.envs.truth_info import MODEL, STATE
 from estbench.envs.twin import Twin, chosen
 from estbench.envs.watch import Watch
+from estbench.robots import fields
 from estbench.shapes import Array, Mask
 
-States = tuple[Array, Array, Array]
+States = tuple[Array, Array, Array]  # times, true states, inputs
 _log = logging.getLogger("estbench")
 
 
@@ -34,9 +36,11 @@ class VectorEstimatedObservation(VectorWrapper):
 
     Args:
         env: the vector of environments.
-        estimator, sensors, process_noise, observe, initial_std, model_set, xml: as for
+        estimator, sensors, process_noise, observe, initial_std, model_set, frame_skip: as for
             `estbench.envs.EstimatedObservation`. With `observe="env"` each row's observation is
             computed in Python, one after the other; the other kinds are computed together.
+        model, data: likewise; a place is a function of the unwrapped environment, and environments
+            in other processes need `RecordTruth` with the same place.
         nthread: threads of the filters' physics.
 
     Raises:
@@ -52,30 +56,32 @@ class VectorEstimatedObservation(VectorWrapper):
         observe: str | None = None,
         initial_std: float | Sequence[float] | dict[str, float] = 0.05,
         model_set: Mapping[str, float | Sequence[float]] | None = None,
-        xml: str | Path | None = None,
+        model: Given = "follow",
+        data: Given = None,
+        frame_skip: int | None = None,
         nthread: int = 1,
     ):
         super().__init__(env)
         inner = env.unwrapped
         if isinstance(inner, SyncVectorEnv):
-            members, self._datas = list(inner.envs), None
+            members, here = list(inner.envs), True
         elif isinstance(inner, AsyncVectorEnv):
-            members, self._datas = [inner.env_fns[0]()], []
+            members, here = [inner.env_fns[0]()], False
         else:
             raise EnvError(
                 f"{type(inner).__name__} is neither SyncVectorEnv nor AsyncVectorEnv; make it with "
                 "gymnasium.make_vec(..., vectorization_mode='sync')"
             )
-        observe, said = chosen(observe, members[0])
+        self._places = [Place(member, model, data) for member in members]
+        first, skip = Member(members[0], self._places[0]), self._places[0].frame_skip(frame_skip)
+        self._members = [first, *map(Member, members[1:], self._places[1:])] if here else []
+        observe, self._said = chosen(observe, members[0])
         self._watch = Watch(
-            members[0], env.num_envs, estimator, sensors, process_noise, initial_std, model_set,
-            xml, filtered=observe != "raw", nthread=nthread,
+            first, env.num_envs, estimator, sensors, process_noise, initial_std, model_set,
+            model != "nominal", skip, filtered=observe != "raw", nthread=nthread,
         )  # fmt: skip
-        self.notices = (*self._watch.notices, *said)
-        for line in self.notices:
+        for line in self._said:
             _log.warning("%s: %s", type(members[0].unwrapped).__name__, line)
-        if isinstance(inner, SyncVectorEnv):
-            self._datas = [member.unwrapped.data for member in members]  # pyright: ignore
         self._twins: list[Twin] = []
         if observe == "env":
             every = members if len(members) == env.num_envs else members * env.num_envs
@@ -92,6 +98,11 @@ class VectorEstimatedObservation(VectorWrapper):
         self._time, self._fresh = np.zeros(env.num_envs), np.zeros(env.num_envs, bool)
         self._closed = False
 
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What was assumed, and what was found since, one line each; the log has them too."""
+        return (*self._watch.notices, *self._said)
+
     def reset(
         self,
         *,
@@ -105,7 +116,7 @@ class VectorEstimatedObservation(VectorWrapper):
         _, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
         for row in np.flatnonzero(mask).tolist():
             self._episodes.seed(row, seeds[row])
-        states = self._states(info)
+        states = self._states(info, mask, np.zeros_like(mask))
         self._restart(mask, states)
         return self._shown.copy(), {**info, **self._info(states, mask)}
 
@@ -129,17 +140,18 @@ class VectorEstimatedObservation(VectorWrapper):
             )
         _, reward, terminated, truncated, info = self.env.step(actions)
         over, every = terminated | truncated, np.ones(self.num_envs, bool)
-        states = self._states(info)
+        again = self._ended if self._mode is AutoresetMode.NEXT_STEP else ~every
         if self._mode is AutoresetMode.SAME_STEP and over.any():
-            last = self._final_states(states, info, over)
+            last = self._final_states(info, over)
             self._follow(last, every)
             final, before = self._shown.copy(), self._info(last, over)
+            states = self._states(info, over, ~over)
             self._restart(over, states)
             final_info = {**info["final_info"], **before}
             ours = self._info(states, every)
             add_final(ours, over, final, final_info)
             return self._shown.copy(), reward, terminated, truncated, {**info, **ours}
-        again = self._ended if self._mode is AutoresetMode.NEXT_STEP else ~every
+        states = self._states(info, again, ~every)
         self._follow(states, ~again)
         if again.any():
             self._restart(again, states)
@@ -159,7 +171,7 @@ class VectorEstimatedObservation(VectorWrapper):
                 f"{type(inner).__name__} runs in other processes and cannot be copied; use "
                 "gymnasium.make_vec(..., vectorization_mode='sync')"
             )
-        state = {k: v for k, v in vars(self).items() if k not in ("_datas", "_twins")}
+        state = {k: v for k, v in vars(self).items() if k not in ("_members", "_twins")}
         twins = [twin.data for twin in self._twins]
         return {"state": state, "carried": [carried(e) for e in inner.envs], "twins": twins}
 
@@ -168,8 +180,7 @@ class VectorEstimatedObservation(VectorWrapper):
         members = self.env.unwrapped.envs  # pyright: ignore[reportAttributeAccessIssue]
         for member, attributes in zip(members, copied["carried"]):
             restore(member, attributes)
-        self._datas = [member.unwrapped.data for member in members]
-        self._watch.data = self._datas[0]
+        self._members = list(map(Member, members, self._places))
         self._twins = [Twin(e, data) for e, data in zip(members, copied["twins"])]
 
     def close(self, **kwargs: Any) -> None:
@@ -179,7 +190,7 @@ class VectorEstimatedObservation(VectorWrapper):
         self.env.close(**kwargs)
 
     def _restart(self, mask: Mask, states: States) -> None:
-        x, u, t = states
+        t, x, u = states
         rows = np.flatnonzero(mask)
         self._watch.reset(rows, *self._episodes.next(rows), x, u)
         self._time[mask], self._ended = t[mask], self._ended & ~mask
@@ -187,7 +198,9 @@ class VectorEstimatedObservation(VectorWrapper):
         filter_ = self._watch.filter
         if self._twins and filter_ is not None:
             for row in np.flatnonzero(mask):
-                self._shown[row] = self._twins[row].reset(filter_.estimate[row], x[row], t[row])
+                self._shown[row] = self._twins[row].reset(
+                    filter_.estimate[row], x[row], u[row], float(t[row])
+                )
         else:
             self._shown[mask] = self._observe(x)[mask]
 
@@ -195,10 +208,10 @@ class VectorEstimatedObservation(VectorWrapper):
         """Filters and observations of the rows of a mask after a step."""
         if not mask.any():
             return
-        x, u, t = states
+        t, x, u = states
         for here in np.flatnonzero(mask & (self._fresh | (t <= self._time))).tolist():
-            if self._datas:  # those of other processes are not to be had
-                check_not_reset(self._datas[here])
+            if self._members:  # those of other processes are not to be had
+                self._members[here].check_not_reset()
         self._fresh &= ~mask
         row = int(mask.argmax())
         nstep = self._watch.steps(float(t[row] - self._time[row]))
@@ -215,39 +228,60 @@ class VectorEstimatedObservation(VectorWrapper):
             self._shown[mask] = self._observe(x)[mask]
 
     def _info(self, states: States, mask: Mask) -> dict[str, Any]:
-        return vector_info(self._watch.info(states[0]), mask)
+        return vector_info(self._watch.info(states[1]), mask)
 
-    def _states(self, info: dict[str, Any]) -> States:
-        """True states, controls and times of all rows; of rows without news, the last ones."""
-        if KEYS[0] in info:
-            new = [np.asarray(info.pop(key), np.float64) for key in KEYS]
-            known = info.pop(f"_{KEYS[0]}")
-            for key in KEYS[1:]:
-                info.pop(f"_{key}")
-            if not known.all():
-                new = [
-                    np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-                    for a, b in zip(new, self._last)
-                ]
-            self._last: States = (new[0], new[1], new[2])
-            return self._last
-        datas = self._datas or self.env.unwrapped.get_attr("data")  # pyright: ignore
-        x = np.array([np.concatenate([d.qpos, d.qvel, d.act]) for d in datas])
-        return x, np.array([d.ctrl for d in datas]), np.array([d.time for d in datas])
+    def _states(self, info: dict[str, Any], began: Mask, followed: Mask) -> States:
+        """Times, true states and inputs of all rows; of rows without news, the last ones.
 
-    def _final_states(self, states: States, info: dict[str, Any], over: Mask) -> States:
+        Args:
+            info: of the vector; what `RecordTruth` has added is taken out.
+            began: rows that began an episode.
+            followed: rows whose model in `info` is known already.
+        """
+        if STATE in info:
+            new, known = np.asarray(info.pop(STATE)), info.pop(f"_{STATE}")
+            self._last = new if known.all() else np.where(known[:, None], new, self._last)
+            self._adapt(info, ~followed)
+            info.pop(MODEL, None), info.pop(f"_{MODEL}", None)
+            return self._parts(self._last)
+        if self._members:
+            for row in np.flatnonzero(began).tolist():
+                self._members[row].begin()
+            for row, member in enumerate(self._members):
+                self._watch.adapt(row, member.changes())
+            return self._parts(np.array([member.state() for member in self._members]))
+        if not self._places[0].usual:
+            raise EnvError(
+                "the data of environments in other processes are under another name than `data`; "
+                "make the vector with wrappers=[estbench.envs.RecordTruth]"
+            )
+        datas = self.env.unwrapped.get_attr("data")  # pyright: ignore[reportAttributeAccessIssue]
+        for row in np.flatnonzero(began).tolist():
+            self._watch.adapt(row, fields.read(datas[row].model))
+        return self._parts(np.array([state_of(data) for data in datas]))
+
+    def _parts(self, states: Array) -> States:
+        return states[:, 0], *self._watch.divided(states)
+
+    def _adapt(self, info: dict[str, Any], rows: Mask) -> None:
+        """Follow the models that `RecordTruth` has sent, of some rows."""
+        if MODEL in info:
+            for row in np.flatnonzero(info[f"_{MODEL}"] & rows).tolist():
+                self._watch.adapt(row, info[MODEL][row].fields)
+
+    def _final_states(self, info: dict[str, Any], over: Mask) -> States:
         """The states before the reset, of the rows that ended in this step."""
         final = info["final_info"]
-        if KEYS[0] not in final:
+        if STATE not in final:
             raise EnvError(
                 "with same-step autoreset the last state of an episode is gone before a filter can "
                 "see it; make the vector with wrappers=[estbench.envs.RecordTruth], or with "
                 "autoreset_mode='NextStep'"
             )
-        out = [
-            np.where(over.reshape(-1, *[1] * (now.ndim - 1)), np.asarray(final.pop(key)), now)
-            for key, now in zip(KEYS, states)
-        ]
-        for key in KEYS:
-            final.pop(f"_{key}")
-        return out[0], out[1], out[2]
+        last = np.asarray(final.pop(STATE))
+        final.pop(f"_{STATE}")
+        self._adapt(final, over)
+        self._adapt(info, ~over)
+        final.pop(MODEL, None), final.pop(f"_{MODEL}", None)
+        now = np.asarray(info[STATE])
+        return self._parts(np.where(over[:, None], last, now))

@@ -1,14 +1,18 @@
 """Sensors and filters for environments of other libraries: the common part of both wrappers."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from estbench.envs.adopt import adopt, mujoco_parts
+from estbench.envs.adopt import adopt
 from estbench.envs.errors import EnvError
 from estbench.envs.features import Features
+from estbench.envs.following import Following
+from estbench.envs.member import Member
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
 from estbench.estimators.protocol import depends_on_time
@@ -17,86 +21,119 @@ from estbench.inference.live import LiveFilter
 from estbench.randomness import streams
 from estbench.randomness.streams import Seeds
 from estbench.robots import backend, layout, parameters
-from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.fields import Fields
 from estbench.robots.model import MujocoModel
 from estbench.sensors.clock import Clocks, Event
 from estbench.sensors.suite import SensorSuite
 from estbench.sensors.timing import Instant, Schedule
-from estbench.shapes import Array, Ints, Mask
+from estbench.shapes import Array, Bool, Ints, Mask
 from estbench.spaces.linalg import quiet
 from estbench.spaces.patterns import expand
+
+_log = logging.getLogger("estbench")
 
 
 class Watch:
     """Sensors and filters on `rows` copies of an environment.
 
-    The arguments are those of `estbench.envs.wrapper.EstimatedObservation`; `env` is one of the
-    copies.
+    The arguments are those of `estbench.envs.wrapper.EstimatedObservation`; `member` is one of the
+    copies, whose model is the first of all.
 
     Attributes:
         suite: the sensors.
         filter: the beliefs of the robots, or None.
         clocks: where each row is in its episode.
         space: the state space.
-        data: `env`'s MuJoCo data, to be read only.
-        notices: assumptions, one line each.
         frame_skip: physics steps of a step.
     """
 
     def __init__(
         self,
-        env: Any,
+        member: Member,
         rows: int,
         estimator: str | Mapping[str, Any],
         sensors: str | Path | Sequence[str] | Mapping[str, Any] | None,
         process_noise: float | Mapping[str, Any],
         initial_std: float | Sequence[float] | dict[str, float],
         model_set: Mapping[str, float | Sequence[float]] | None,
-        xml: str | Path | None,
+        follow: bool,
+        frame_skip: int,
         filtered: bool = True,
         nthread: int = 1,
     ):
-        model, self.data = mujoco_parts(env)
-        self.frame_skip = int(getattr(env.unwrapped, "frame_skip", 1))
-        adopted = adopt(env, sensors, xml, self.frame_skip)
-        self.notices, self._timestep = adopted.notices, float(model.opt.timestep)
-        self.space = layout.state_space(adopted.model)
+        name, self.frame_skip = type(member.env.unwrapped).__name__, frame_skip
+        adopted = adopt(member.model, sensors, frame_skip)
+        model, self._timestep = adopted.model, float(member.model.opt.timestep)
+        self._assumed, self._after = adopted.notices, 1 + model.nq + model.nv + model.na
+        self.space = layout.state_space(model)
         std = expand(initial_std, self.space.names, "initial_std")
         if not (std >= 0).all():
             raise CovarianceError(
                 f"initial_std is {std.min():g}; a standard deviation is at least 0"
             )
+        held = _held(model)
+        still = np.zeros(self.space.n, bool)
+        still[model.nv : 2 * model.nv] = held & np.isscalar(initial_std)
+        std = np.where(still, 0.0, std)
+        if held.any() and np.isscalar(initial_std):
+            names = ", ".join(np.array(self.space.names)[: model.nv][held].tolist())
+            self._assumed += (
+                f"{names}: the damping stops any motion within a physics step, so the velocity is "
+                "believed to be zero",
+            )
+        for line in self._assumed:
+            _log.warning("%s: %s", name, line)
         self._std, self._cov = std, np.repeat(np.diag(std**2)[None], rows, axis=0)
-        self._range = ControlRange.of(adopted.model)
-        self._backend = backend.create(adopted.model, nthread)
-        self.suite = SensorSuite(
-            adopted.model, self._backend, adopted.channels, rows, look=not filtered
-        )
-        timed = False
+        self._backend = backend.create(model, nthread)
+        self.suite = SensorSuite(model, self._backend, adopted.channels, rows, look=not filtered)
+        timed, window = False, 0
+        believed: MujocoModel | None = None
         self.filter: LiveFilter | None = None
         if filtered:
             believed = MujocoModel(
-                parameters.changed(adopted.model, model_set or {}, "model_set"),
+                parameters.changed(model, model_set or {}, "model_set"),
                 adopted.believed,
-                _disturbance(adopted.model, self.space, process_noise),
+                _disturbance(model, self.space, process_noise),
                 nthread=nthread,
             )
-            made, latest = _estimator(estimator, believed), self.frame_skip
+            made, latest = _estimator(estimator, believed), frame_skip
             latest += max((c.timing.longest_delay for c in adopted.channels), default=0)
-            window = latest if latest > self.frame_skip else 0
+            window = latest if latest > frame_skip else 0
             spaces = {c.name: c.space for c in adopted.channels}
             own = type(made).__module__.startswith("estbench.")
             timed = not own or depends_on_time(made)
             timed = timed or any(
-                c.schedule is not None or c.measurand.depends_on_time(adopted.model)
+                c.schedule is not None or c.measurand.depends_on_time(model)
                 for c in adopted.channels
             )
             self.filter = LiveFilter(
                 made, self.space, spaces, rows, Delays(window=window), by_clock=timed
             )
-            self._try(self.filter, rows)
-        self.clocks = Clocks(rows, Schedule((), self._timestep, self.frame_skip), timed)
+        self._following = Following(
+            name, model, self._backend, believed, model_set or {}, follow, rows, window
+        )
+        if self.filter is not None:
+            self._try(self.filter, member)
+        self.clocks = Clocks(rows, Schedule((), self._timestep, frame_skip), timed)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Assumptions, and what was found since, one line each."""
+        return (*self._assumed, *self._following.notices)
+
+    def adapt(self, row: int, fields: Fields | None) -> None:
+        """A row has a model with these fields from now on; None for no change.
+
+        Raises:
+            EnvError: it is not of the same sizes.
+        """
+        if fields is not None:
+            self._following.adapt(row, fields, self.clocks.tick)
+
+    def divided(self, states: Array) -> tuple[Array, Array]:
+        """True states `(row, nx)` and inputs `(row, inputs)` of what `Member.state` gives."""
+        return states[:, 1 : self._after], states[:, self._after :]
 
     def steps(self, elapsed: float) -> int:
         """Physics steps in the time that an environment's step took, s.
@@ -112,7 +149,7 @@ class Watch:
             )
         return count
 
-    def reset(self, rows: Ints, seed: Seeds, runs: Sequence[int], x: Array, u: Array) -> None:
+    def reset(self, rows: Ints, seed: Seeds, runs: Sequence[int], x: Array, inputs: Array) -> None:
         """Start filters at x̂₀ with x ⊖ x̂₀ ~ N(0, P₀) in some rows.
 
         Args:
@@ -120,10 +157,11 @@ class Watch:
             seed: of all of them, or one for each.
             runs: the number of the run in each.
             x: true states of all rows `(row, nx)`.
-            u: controls `(row, nu)`.
+            inputs: all of them `(row, inputs)`.
         """
         self.clocks.start(rows)
-        self.suite.start(rows, seed, runs, self.clocks.tick, x, self._range.clamp(u))
+        u, _ = self._following.inputs(inputs)
+        self.suite.start(rows, seed, runs, self.clocks.tick, x, u)
         if self.filter is None:
             return
         error = np.zeros((len(x), self.space.n))
@@ -132,9 +170,16 @@ class Watch:
         keys[rows] = streams.run_keys(seed, runs, "estimator")
         self.filter.start(rows, self.space.plus(x, -error), self._cov, keys)
 
-    def step(self, nstep: int, x: Array, u: Array, mask: Mask | None = None) -> None:
-        """Go on by `nstep` physics steps under u `(row, nu)`, to the true states x `(row, nx)`."""
-        u = self._range.clamp(u)
+    def step(self, nstep: int, x: Array, inputs: Array, mask: Mask | None = None) -> None:
+        """Go on by `nstep` physics steps, to the true states x `(row, nx)`.
+
+        Args:
+            nstep: physics steps.
+            x: true states at their end.
+            inputs: all inputs `(row, inputs)` that were held.
+            mask: rows that take part; None is all.
+        """
+        u, known = self._following.inputs(inputs)
         if self.filter is not None:
             self.filter.begin()
         with quiet():
@@ -142,13 +187,9 @@ class Watch:
                 _, end = self.clocks.time(event)
                 arrived = self.suite.read(event.tick, end, x, u, event.rows)
                 if self.filter is not None:
-                    self.filter.step(event, u, arrived)
+                    self.filter.step(event, known, arrived)
             if self.filter is not None:
                 self.filter.settle()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without the data of the environment: those of a copy are set by its wrapper."""
-        return {name: value for name, value in vars(self).items() if name != "data"}
 
     def close(self) -> None:
         """Release the backends of the sensors and of the filter."""
@@ -164,14 +205,15 @@ class Watch:
         """The observation of a kind."""
         return Features(observe, self.suite, self.filter, self.space.nx)
 
-    def _try(self, tried: LiveFilter, rows: int) -> None:
-        """Predict once from the model's reference pose: can the estimator use this model?"""
-        rest = np.concatenate([self.data.model.qpos0, np.zeros(self.space.nx - self.data.model.nq)])
-        mean = np.repeat(rest[None], rows, axis=0)
+    def _try(self, tried: LiveFilter, member: Member) -> None:
+        """Predict once from where the environment is: can the estimator use this model?"""
+        rows, state = tried.rows, member.state()[None]
+        mean, inputs = (np.repeat(part, rows, axis=0) for part in self.divided(state))
+        _, u = self._following.inputs(inputs)
         nstep, keys = self.frame_skip, np.zeros(rows, np.uint64)
         instant = Instant(0.0, nstep * self._timestep, nstep, (), True, nstep)
         tried.start(np.arange(rows), mean, self._cov, keys)
-        tried.step(Event(nstep, instant), np.zeros((rows, self.data.model.nu)), [])
+        tried.step(Event(nstep, instant), u, [])
         tried.settle()
         if tried.failed.any():
             zero = [n for n, s in zip(self.space.names, self._std) if s == 0]
@@ -182,6 +224,15 @@ class Watch:
                 else "its first prediction is not finite; choose another estimator or process_noise"
             )
             raise EstimatorError(f"estimator {type(tried.estimator).__name__}: {remedy}")
+
+
+def _held(model: mujoco.MjModel) -> Bool[Mask, " nv"]:
+    """Coordinates whose damping leaves less than 1e-4 of a velocity after one physics step.
+
+    v⁺ = v / (1 + h d / M) with implicit damping d. A noise on such a velocity would be a force that
+    no robot withstands (bases that are held by a damping of 1e11).
+    """
+    return np.asarray(model.dof_damping * model.opt.timestep > 1e4 * model.dof_M0)
 
 
 def _estimator(estimator: str | Mapping[str, Any], model: MujocoModel) -> Any:
@@ -197,10 +248,10 @@ def _estimator(estimator: str | Mapping[str, Any], model: MujocoModel) -> Any:
 
 def _disturbance(model: Any, space: Any, given: float | Mapping[str, Any]) -> Disturbance:
     if not isinstance(given, Mapping):
+        velocities = np.where(_held(model), 0.0, given)
         return Disturbance.build(
-            model, space, "additive",
-            [*np.zeros(model.nv), *np.full(model.nv, given), *np.zeros(model.na)],
-        )  # fmt: skip
+            model, space, "additive", [*np.zeros(model.nv), *velocities, *np.zeros(model.na)]
+        )
     if not {"kind", "density", "matrix"} & set(given):
         return Disturbance.build(model, space, "additive", dict(given))
     if given.get("accelerometer_sees", "control") != "control":

@@ -10,14 +10,14 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from estbench.envs.actions import check_finite
-from estbench.envs.adopt import check_not_reset
 from estbench.envs.copies import carried, restore
 from estbench.envs.episodes import Episodes
 from estbench.envs.errors import not_running
+from estbench.envs.member import Member
 from estbench.envs.native import first
+from estbench.envs.place import Given, Place
 from estbench.envs.twin import Twin, chosen
 from estbench.envs.watch import Watch
-from estbench.shapes import Array
 
 ROW = np.zeros(1, np.int64)
 _log = logging.getLogger("estbench")
@@ -30,7 +30,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
     last bit, with and without the wrapper. The filter starts at an x̂₀ with x₀ ⊖ x̂₀ ~ N(0, P₀).
 
     Args:
-        env: any environment whose `unwrapped` has `model` and `data` of MuJoCo.
+        env: any environment that has MuJoCo's model and data somewhere.
         estimator: name, `package.module:Name`, or a table of settings with `type`.
         sensors: names of sensors in the model; a table of channels, as in a scenario's
             `[channels.NAME]` (see `estbench.envs.sensors`); or a TOML file of them. By default
@@ -45,7 +45,14 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         initial_std: P₀'s standard deviations: a number, a list or a table of patterns. 0 starts
             the filter at the truth.
         model_set: `field.object` = value: where the filter's model differs from the environment's.
-        xml: MJCF of the model, for environments that do not name the file they were made from.
+        model: what the filter knows when the environment changes its model (parameters that are
+            drawn per episode, a body that is moved) or applies forces: `follow` (all of it), or
+            `nominal` (it keeps the first model, and knows no forces). Or where MuJoCo's model is,
+            which is then followed: the model, an object that has it, or a function of the
+            unwrapped environment. By default it is searched.
+        data: where MuJoCo's data are, likewise.
+        frame_skip: physics steps of a step, for an environment that does not say it. It is needed
+            for sensors with a rate or a latency.
 
     Raises:
         EstbenchError: a setting is wrong; the message names the remedy.
@@ -60,7 +67,9 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         observe: str | None = None,
         initial_std: float | Sequence[float] | dict[str, float] = 0.05,
         model_set: Mapping[str, float | Sequence[float]] | None = None,
-        xml: str | Path | None = None,
+        model: Given = "follow",
+        data: Given = None,
+        frame_skip: int | None = None,
     ):
         RecordConstructorArgs.__init__(
             self,
@@ -70,24 +79,31 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             observe=observe,
             initial_std=initial_std,
             model_set=model_set,
-            xml=None if xml is None else str(xml),
+            model=model,
+            data=data,
+            frame_skip=frame_skip,
         )
         gym.Wrapper.__init__(self, env)
-        observe, said = chosen(observe, env)
+        place = Place(env, model, data)
+        self._place, self._member = place, Member(env, place)
+        observe, self._said = chosen(observe, env)
         self._watch = Watch(
-            env, 1, estimator, sensors, process_noise, initial_std, model_set, xml,
-            filtered=observe != "raw",
+            self._member, 1, estimator, sensors, process_noise, initial_std, model_set,
+            model != "nominal", place.frame_skip(frame_skip), filtered=observe != "raw",
         )  # fmt: skip
-        self.notices = (*self._watch.notices, *said)
-        for line in self.notices:
+        for line in self._said:
             _log.warning("%s: %s", type(env.unwrapped).__name__, line)
-        self._data = self._watch.data
         self._episodes = Episodes(1)
         self._twin = Twin(env) if observe == "env" else None
         if self._twin is None:
             self._observe = self._watch.features(observe)
             self.observation_space = self._observe.space
         self._running = self._closed = False
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What was assumed, and what was found since, one line each; the log has them too."""
+        return (*self._watch.notices, *self._said)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -102,12 +118,15 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             raise not_running(True)
         _, info = self.env.reset(seed=seed, options=options)
         self._episodes.seed(0, seed)
-        x, u = self._state(), np.array(self._data.ctrl)[None]
+        self._member.begin()
+        self._watch.adapt(0, self._member.changes())
+        state = self._member.state()
+        x, u = self._watch.divided(state[None])
         self._watch.reset(ROW, *self._episodes.next(ROW), x, u)
-        self._running, self._fresh, self._time = True, True, self._data.time
+        self._running, self._fresh, self._time = True, True, state.item(0)
         filter_ = self._watch.filter
         if self._twin is not None and filter_ is not None:
-            observation = self._twin.reset(filter_.estimate[0], x[0], self._time)
+            observation = self._twin.reset(filter_.estimate[0], x[0], u[0], self._time)
         else:
             observation = self._observe(x)[0].copy()
         return observation, {**info, **first(self._watch.info(x))}
@@ -126,12 +145,14 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             check_finite(np.asarray(action, np.float64), space.shape)  # MuJoCo clamps
         _, reward, terminated, truncated, info = self.env.step(action)
         self._running = not (terminated or truncated)
-        if self._fresh or self._data.time <= self._time:
-            check_not_reset(self._data)
+        state = self._member.state()
+        now, (x, u) = state.item(0), self._watch.divided(state[None])
+        if self._fresh or now <= self._time:
+            self._member.check_not_reset()
             self._fresh = False
-        x, u = self._state(), np.array(self._data.ctrl)[None]
-        nstep = self._watch.steps(self._data.time - self._time)
-        self._time = self._data.time
+        self._watch.adapt(0, self._member.changes())
+        nstep = self._watch.steps(now - self._time)
+        self._time = now
         filter_ = self._watch.filter
         before = None if filter_ is None else filter_.estimate
         self._watch.step(nstep, x, u)
@@ -152,18 +173,12 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
 
     def __getstate__(self) -> dict[str, Any]:
         """The wrapper, and what a copy of the environment lacks."""
-        state = {k: v for k, v in vars(self).items() if k not in ("_data", "_twin")}
+        state = {k: v for k, v in vars(self).items() if k not in ("_member", "_twin")}
         twin = None if self._twin is None else self._twin.data
         return {"state": state, "carried": carried(self.env), "twin": twin}
 
     def __setstate__(self, copied: dict[str, Any]) -> None:
         vars(self).update(copied["state"])
         restore(self.env, copied["carried"])
-        base: Any = self.env.unwrapped
-        self._data = self._watch.data = base.data
+        self._member = Member(self.env, self._place)
         self._twin = None if copied["twin"] is None else Twin(self.env, copied["twin"])
-
-    def _state(self) -> Array:
-        """The true state `(1, nx)`, a copy."""
-        data = self._data
-        return np.concatenate([data.qpos, data.qvel, data.act])[None]

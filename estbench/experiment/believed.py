@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.experiment import build as resolution
-from estbench.robots import layout, mjcf, parameters
+from estbench.robots import given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance, axis_names
 from estbench.robots.measurement import Measurand
 from estbench.robots.model import Scale, SensorChannel, whole_steps
@@ -109,6 +109,7 @@ def _compiled(
         settings=model.set,
         where=where if section.path else "model",
     )
+    given.rest_as(base, truth, 0)
     resolution.check_timestep(base, where)
     found, expected = (layout.state_space(m).names for m in (base, truth))
     if found != expected or base.nu != truth.nu:

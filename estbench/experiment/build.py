@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.robots import added_sensors as adding
-from estbench.robots import contacts, layout, mjcf, parameters
+from estbench.robots import contacts, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import (
     AddSensor,
@@ -93,6 +93,19 @@ def robot(scenario: Scenario, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoc
             f"model.path '{section.path}' has no joint: there is no state to estimate"
         )
     return spec, truth
+
+
+def rest_mocap(model: mujoco.MjModel, keyframe: str | int | None) -> list[str]:
+    """Put mocap bodies where a keyframe has them, for the whole run; a notice, if there are any."""
+    if not model.nmocap:
+        return []
+    place = "the MJCF puts them"
+    if model.nkey:
+        number = mjcf.keyframe_number(model, keyframe)
+        place = f"keyframe '{model.key(number).name or number}' puts them"
+        given.rest_as(model, model, number)
+    names = ", ".join(given.mocap_names(model))
+    return [f"mocap bodies ({names}) stay where {place}; the filter knows it"]
 
 
 def added_sensors(scenario: Scenario) -> dict[str, AddSensor]:

@@ -72,6 +72,7 @@ def build(scenario: Scenario) -> Setup:
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
     truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
+    notices += resolution.rest_mocap(truth, section.keyframe)
     mean, cov = resolution.initial(scenario.initial, truth, space, x0)
     instants = timing.instants(
         [(c.name, c.timing) for c in channels], truth.opt.timestep, section.frame_skip, duration

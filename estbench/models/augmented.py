@@ -14,6 +14,7 @@ from estbench.errors import ScenarioError, did_you_mean
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Float
+from estbench.spaces.linalg import added_first
 from estbench.spaces.manifold import Manifold, carry
 from estbench.spaces.patterns import expand
 
@@ -175,7 +176,7 @@ class Augmented:
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
         """The transition and Φ = [Φ 0 ∂f/∂d; 0 φ]."""
         x, b, d = self._split(x)
-        moved, inner = self.model.transition_jacobian(x, u + d @ self._E.T, t, dt)
+        moved, inner = self.model.transition_jacobian(x, added_first(u, d @ self._E.T), t, dt)
         n, decay = self.model.space.n, self._decay(dt)
         F = np.zeros((len(x), self.space.n, self.space.n))
         F[:, :n, :n] = inner
@@ -190,7 +191,7 @@ class Augmented:
     ) -> Float[Array, "... n n"]:
         """Q and, for the biases, walk² dt or std² (1 - φ²)."""
         x, _, d = self._split(x)
-        Q = self.model.process_noise(x, u + d @ self._E.T, t, dt)
+        Q = self.model.process_noise(x, added_first(u, d @ self._E.T), t, dt)
         walk, std = (np.array([getattr(b, k) for b in self.biases]) for k in ("walk", "std"))
         return _padded(Q, walk**2 * dt + std**2 * (1.0 - self._decay(dt) ** 2))
 
@@ -219,7 +220,7 @@ class Augmented:
         output = self.model.output(channels)
         C = _selection(output.names, self._names)
         shift = b @ C.T
-        y, H = self.model.measurement_jacobian(x, u + d @ self._E.T, t, channels)
+        y, H = self.model.measurement_jacobian(x, added_first(u, d @ self._E.T), t, channels)
         G = self._input_slope(
             lambda p, v: self.model.measurement(p, v, t, channels), output, x, u, d
         )
@@ -246,8 +247,8 @@ class Augmented:
         if not self.inputs:
             return function(x, u)
         if x.ndim == 2:
-            return function(x, u + d @ self._E.T)
-        v = u[:, None] + d @ self._E.T
+            return function(x, added_first(u, d @ self._E.T))
+        v = added_first(u[:, None], d @ self._E.T)
         return function(x.reshape(-1, x.shape[-1]), v.reshape(-1, v.shape[-1])).reshape(
             *x.shape[:2], -1
         )

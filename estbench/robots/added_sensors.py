@@ -29,6 +29,8 @@ _COUNTS = {
     "joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom", "camera": "ncam",
     "tendon": "ntendon", "actuator": "nactuator",
 }  # fmt: skip
+KINDS = tuple(_COUNTS)
+"""Kinds of objects that sensors are attached to and that may have no name."""
 # Types without an object, or with one of any kind.
 _FREE = ("clock", "e_potential", "e_kinetic", "user", "plugin")
 

@@ -48,6 +48,7 @@ class Backend(Protocol):
         Args:
             x: states `(run, nx)` or `(run, point, nx)`.
             u: controls `(run, nu)` or `(run, point, nu)`, broadcast over the points; not clamped.
+                Or all inputs and the number of a model: see `given`.
             t: time at the start, s; one number, or one per row `(run, 1)`.
             nstep: number of physics steps, at least 1.
             force: generalized forces, N or N m, broadcast over the leading axes and constant over
@@ -101,6 +102,15 @@ class Backend(Protocol):
             field: field of `MjModel`, e.g. `body_mass`.
             index: which of the field's elements.
             values: one value per row.
+        """
+        ...
+
+    def follow(self, number: int, model: mujoco.MjModel | None) -> None:
+        """Let rows run on another model: those whose u has its number (see `given`).
+
+        Args:
+            number: at least 1, below 2⁵³; one that was used before is not used again.
+            model: of the same sizes, with the flags of `flags.set_flags`; None forgets it.
         """
         ...
 

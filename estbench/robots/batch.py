@@ -13,7 +13,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError
-from estbench.robots import flags, library
+from estbench.robots import flags, given, library
 from estbench.shapes import Array, Float, Int, Mask
 from estbench.spaces.linalg import surely_finite
 
@@ -59,6 +59,14 @@ class BatchBackend:
         self._time = columns("time", 1)
         self._ctrl = columns("ctrl", model.nu)
         self._force = columns("qfrc_applied", model.nv)
+        # All inputs are consecutive too, the controls first.
+        start = self._force.start - model.nu
+        self._inputs = slice(start, start + given.size(model))
+        self._at_rest = given.at_rest(model)
+        self._others: dict[int, mujoco.MjModel] = {}
+        self._reduced: dict[tuple[int, flags.Use], mujoco.MjModel] = {}
+        self._numbers: dict[tuple[int, flags.Use], Array] = {}
+        self._given = False  # whether all inputs were ever given
 
     def batch(self, count: int, use: flags.Use = "step") -> Batch:
         """The batch of `count` rows for a use; its applied forces are zero."""
@@ -66,6 +74,8 @@ class BatchBackend:
             if use not in self._models:
                 self._models[use] = flags.reduced(self.model, use)
             batch = Batch(self._models[use], count, self.nthread)
+            if self.model.nmocap:
+                batch.state[:, self._inputs] = self._at_rest
             if use != "step":
                 batch.bind("sensordata")
             self._batches[count, use] = batch
@@ -73,12 +83,16 @@ class BatchBackend:
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy is made of: it has batches of its own, which remember nothing."""
-        return {"model": self.model, "nthread": self.nthread, "varied": self._varied}
+        return {
+            "model": self.model, "nthread": self.nthread,
+            "varied": self._varied, "others": self._others,
+        }  # fmt: skip
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["model"], state["nthread"])
         for (count, field, _), (index, values) in state["varied"].items():
             self.vary(count, field, index, values)
+        self._others = state["others"]
 
     def close(self) -> None:
         """Restore the settings of the MuJoCo library, unless another backend is open."""
@@ -96,6 +110,15 @@ class BatchBackend:
             batch.expand(field)[:, index] = values
             batch.set_const()
 
+    def follow(self, number: int, model: mujoco.MjModel | None) -> None:
+        """See `Backend.follow`."""
+        if model is not None:
+            self._others[number] = model
+            return
+        self._others.pop(number, None)
+        for use in get_args(flags.Use):
+            self._reduced.pop((number, use), None)
+
     def step(
         self,
         x: Float[Array, "*lead nx"],
@@ -107,7 +130,7 @@ class BatchBackend:
         """See `Backend.step`."""
         batch, rows, bad = self._load(x, u, t, "step")
         if force is not None:
-            rows[..., self._force] = force
+            rows[..., self._force] += force
         bad = self._run(batch, bad, nstep, 0)
         out = rows[..., self._x].copy()
         if force is not None:
@@ -129,7 +152,7 @@ class BatchBackend:
         slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
         batch, rows, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
         if force is not None:
-            rows[..., self._force] = force
+            rows[..., self._force] += force
         bad = self._run(batch, bad, 0, stage)
         out = batch.bind("sensordata")[:, columns]
         if force is not None:
@@ -149,7 +172,7 @@ class BatchBackend:
         batch, rows, bad = self._load(x, u, t, "step")
         derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
         if force is not None:
-            rows[..., self._force] = force
+            rows[..., self._force] += force
         bad = self._run(batch, bad, 0, int(mujoco.mjtStage.mjSTAGE_ACC))
         velocity = batch.state[:, self._x][:, self.model.nq : self.model.nq + self.model.nv]
         out = np.concatenate([velocity, *derived], axis=-1)
@@ -174,9 +197,38 @@ class BatchBackend:
                 bad = broken.ravel()
         rows[..., self._x] = x
         rows[..., self._time] = t
-        if self.model.nu:
-            rows[..., self._ctrl] = u if u.ndim == x.ndim else u[:, None]
+        u = u if u.ndim == x.ndim else u[:, None]
+        if self._given or u.shape[-1] != self.model.nu:
+            self._give(batch, rows, u, use)
+        elif self.model.nu:
+            rows[..., self._ctrl] = u
         return batch, rows, bad
+
+    def _give(self, batch: Batch, rows: Array, u: Array, use: flags.Use) -> None:
+        """Write all inputs, and give each row its model; see `given`."""
+        lead, key, self._given = rows.shape[:-1], (batch.nsim, use), True
+        numbers = np.zeros(batch.nsim)
+        if u.shape[-1] == self.model.nu:
+            rows[..., self._inputs] = self._at_rest
+            rows[..., self._ctrl] = u
+        else:
+            rows[..., self._inputs] = u[..., :-1]
+            numbers[:] = np.broadcast_to(u[..., -1], lead).ravel()
+        before = self._numbers.get(key)
+        if not np.count_nonzero(numbers if before is None else numbers != before):
+            return
+        known = {n: self._model(n, use) for n in np.unique(numbers).astype(int).tolist()}
+        one = next(iter(known.values())) if len(known) == 1 else None
+        batch.set_models(one or [known[n] for n in numbers.astype(int).tolist()])
+        self._numbers[key] = numbers
+
+    def _model(self, number: int, use: flags.Use) -> mujoco.MjModel:
+        """The model of a number, without what the use does not need."""
+        if number == 0:
+            return self._models[use]
+        if (number, use) not in self._reduced:
+            self._reduced[number, use] = flags.reduced(self._others[number], use)
+        return self._reduced[number, use]
 
     def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
         """Step, or compute forward stages; the mask of the rows without a result, or None."""

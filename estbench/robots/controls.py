@@ -10,15 +10,15 @@ from estbench.shapes import Array, Float
 
 @dataclass(frozen=True, eq=False)
 class ControlRange:
-    """The `ctrlrange` of every actuator of a model.
+    """The `ctrlrange` of every actuator of a model, or of the model of each row.
 
     Attributes:
         low: lowest control; -inf where there is no limit.
         high: highest control; inf where there is no limit.
     """
 
-    low: Float[Array, " nu"]
-    high: Float[Array, " nu"]
+    low: Float[Array, "*row nu"]
+    high: Float[Array, "*row nu"]
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> "ControlRange":

@@ -23,7 +23,7 @@ from estbench.errors import CovarianceError, DimensionError
 from estbench.robots.backend import Backend
 from estbench.robots.layout import control_names
 from estbench.shapes import Array, Float, Int
-from estbench.spaces.linalg import is_positive_semidefinite, rescaled, row_product
+from estbench.spaces.linalg import added_first, is_positive_semidefinite, rescaled, row_product
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 from estbench.spaces.semidefinite import eigen_root
@@ -221,7 +221,7 @@ class Disturbance:
         points = np.broadcast_to(x[:, None], (len(x), len(columns), x.shape[-1]))
         if self.kind == "force":
             return points, u, columns
-        return points, u[:, None] + columns, None
+        return points, added_first(u[:, None], columns), None
 
 
 def axis_names(model: mujoco.MjModel, space: Manifold, kind: Kind) -> tuple[str, ...]:

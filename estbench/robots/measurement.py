@@ -138,7 +138,7 @@ class Plan:
         for source in self._sources:
             if source.function is not None:
                 assert isinstance(t, float)  # one time for all: see `timed`
-                parts.append(source.call(x, u, t))
+                parts.append(source.call(x, u[..., : backend.model.nu], t))
                 continue
             parts.append(sensed[..., start : start + source.space.nx])
             start += source.space.nx

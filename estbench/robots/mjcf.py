@@ -119,19 +119,29 @@ def keyframe(
     Raises:
         ScenarioError: the keyframe does not exist.
     """
+    if key is None and not model.nkey:
+        x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
+        return x, np.zeros(model.nu)
+    index = keyframe_number(model, key)
+    x = np.concatenate([model.key_qpos[index], model.key_qvel[index], model.key_act[index]])
+    return x, model.key_ctrl[index].copy()
+
+
+def keyframe_number(model: mujoco.MjModel, key: str | int | None) -> int:
+    """The number of a keyframe; that of None is 0.
+
+    Raises:
+        ScenarioError: the keyframe does not exist.
+    """
     names = [model.key(i).name for i in range(model.nkey)]
     if key is None:
-        if not model.nkey:
-            x = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
-            return x, np.zeros(model.nu)
-        key = 0
+        return 0
     index = names.index(key) if key in names else key if isinstance(key, int) else -1
     if not 0 <= index < model.nkey:
         known = [name or str(i) for i, name in enumerate(names)]
         hint = did_you_mean(str(key), known) or "; the MJCF has none: leave model.keyframe out"
         raise ScenarioError(f"model.keyframe: no keyframe '{key}'{hint}")
-    x = np.concatenate([model.key_qpos[index], model.key_qvel[index], model.key_act[index]])
-    return x, model.key_ctrl[index].copy()
+    return index
 
 
 def _one_line(error: Exception) -> str:

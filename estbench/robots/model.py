@@ -9,12 +9,12 @@ import numpy as np
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels
-from estbench.robots import backend, layout
+from estbench.robots import backend, given, layout
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import rescaled
+from estbench.spaces.linalg import added_first, rescaled
 from estbench.spaces.manifold import Manifold
 
 __all__ = ["MujocoModel", "SensorChannel", "needed_stage", "sensor_columns", "whole_steps"]
@@ -57,6 +57,7 @@ class MujocoModel:
     A transition over dt is dt/timestep physics steps. A measurement computes the forward stages
     that its channels need, no more. Jacobians are differences of complete steps in the tangent
     space, so every integrator, actuator and sensor type works. It is a `ContinuousModel` too.
+    u are the controls, or all inputs of the robot and the number of its model (see `given`).
 
     Args:
         model: compiled by `mjcf.compile_model` (no warm start, no automatic reset, no clamping).
@@ -86,7 +87,7 @@ class MujocoModel:
         self._space = layout.state_space(model)
         self._rates = Manifold.euclidean(self._space.n)
         self._backend = engine or backend.create(model, nthread)
-        self._range = ControlRange.of(model)
+        self._range, self._inputs = ControlRange.of(model), given.size(model)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
         self._steps: dict[float, int] = {}
 
@@ -233,7 +234,8 @@ class MujocoModel:
         whole[..., noise.places] = d
         if noise.kind == "force":
             return plan.read(self._backend, x, u, t, whole)
-        return plan.read(self._backend, x, (u if u.ndim == x.ndim else u[:, None]) + whole, t)
+        push = added_first(u if u.ndim == x.ndim else u[:, None], whole)
+        return plan.read(self._backend, x, push, t)
 
     def measurement_noise(self, t: float, channels: Channels = None) -> Float[Array, "... m m"]:
         """R, block-diagonal over the channels."""
@@ -255,10 +257,16 @@ class MujocoModel:
             self._steps[dt] = whole_steps(dt, self.mjmodel.opt.timestep, "dt")
         return self._steps[dt]
 
+    def follow(self, number: int, model: mujoco.MjModel | None) -> None:
+        """See `Backend.follow`."""
+        self._backend.follow(number, model)
+
     def _clamp(self, u: Array) -> Array:
-        if u.shape[-1] != self.nu:
+        if u.shape[-1] == self.nu:
+            return self._range.clamp(u)
+        if u.shape[-1] != self._inputs + 1:
             raise DimensionError(f"u has {u.shape[-1]} controls; expected {self.nu}")
-        return self._range.clamp(u)
+        return u  # clamped by whoever gives all inputs: the range may be of another model
 
     def _select(self, names: Channels) -> _Selection:
         key = None if names is None else tuple(names)

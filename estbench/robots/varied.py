@@ -91,6 +91,10 @@ class VariedBackend:
         """See `Backend.vary`."""
         self._inner.vary(count, field, index, values)
 
+    def follow(self, number: int, model: mujoco.MjModel | None) -> None:
+        """See `Backend.follow`."""
+        self._inner.follow(number, model)
+
     def close(self) -> None:
         """See `Backend.close`."""
         self._inner.close()

@@ -160,3 +160,11 @@ def is_positive_semidefinite(a: Float[Array, "n n"]) -> bool:
 def is_positive_definite(a: Float[Array, "n n"]) -> bool:
     """Whether one symmetric matrix has a Cholesky factor."""
     return bool(np.isfinite(cholesky(a[None])).all() and np.allclose(a, a.T, rtol=1e-9, atol=0))
+
+
+def added_first(u: Float[Array, "*lead width"], w: Float[Array, "*some k"]) -> Array:
+    """Sum of u and w, which has the first k components and is broadcast as in a sum."""
+    more = u.shape[-1] - w.shape[-1]
+    if not more:
+        return u + w
+    return u + np.concatenate([w, np.zeros((*w.shape[:-1], more))], axis=-1)
