@@ -64,22 +64,23 @@ def scalar() -> None:
         )
     env = EstimatedObservation(gym.make("InvertedPendulum-v5"), "ekf", observe="state")
     stepping(env)()
-    observer = env._watch.observer
-    bank, readings = observer.bank, observer.readings
-    assert bank is not None
-    model, belief = bank.estimator.model, bank.belief
-    batch = model._rows.batch(5)
-    x, u, dt = env._state(), np.zeros((1, 1)), 2 * model.mjmodel.opt.timestep
+    watch, member = env._watch, env._member
+    assert watch.filter is not None
+    estimator, belief = watch.filter.estimator, watch.filter._cohorts[0].fusion.belief
+    model: Any = estimator.model  # pyright: ignore[reportAttributeAccessIssue]
+    batch = model._backend.batch(5)
+    x, inputs = watch.divided(member.state()[None])
+    u, dt = np.zeros((1, 1)), 2 * model.mjmodel.opt.timestep
     print("  of which")
     for name, call in {
         "Batch.step (5 rows x 2)": lambda: batch.step(nstep=2),
         "Batch.forward (5 rows)": lambda: batch.forward(stage=1),
-        "predict, Batch.step included": lambda: bank.estimator.predict(belief, u, 0.0, dt),
-        "update, Batch.forward included": lambda: bank.estimator.update(
-            belief, readings.last, u, 0.0
-        ),
-        "sensors": lambda: readings.take(2, x, u),
-        "info, NEES included": lambda: bank.info(x),
+        "predict, Batch.step included": lambda: estimator.predict(belief, u, 0.0, dt),
+        "state and inputs": lambda: watch.divided(member.state()[None]),
+        "has the model changed?": member.changes,
+        "u of sensors and filter": lambda: watch._following.inputs(inputs),
+        "sensors": lambda: watch.suite.read(watch.clocks.tick, 0.0, x, u),
+        "info, NEES included": lambda: watch.info(x),
     }.items():
         print(f"    {name:32s} {best(call):8.1f}")
 
@@ -106,8 +107,8 @@ def vector() -> None:
             f"  {threads} thread(s): {np.median(rates):8.0f} steps/s (min {min(rates):.0f}, max "
             f"{max(rates):.0f}; undisturbed {np.median(quick):.0f}; target 60000 {verdict})"
         )
-        observer = env.world.observer  # pyright: ignore[reportAttributeAccessIssue]
-        rows = observer.bank.estimator.model._rows
+        world = env.world  # pyright: ignore[reportAttributeAccessIssue]
+        rows = world.filter.estimator.model._backend
         floor = best(lambda: rows.batch(5 * ROWS).step(nstep=1), 100)  # noqa: B023
         floor += best(lambda: rows.batch(ROWS).step(nstep=1), 100)  # noqa: B023
         print(

@@ -56,6 +56,7 @@ class Following:
         window: int,
     ):
         self._name, self._model, self._set = name, model, dict(model_set)
+        self._reference = fields.Reference(model)
         self._sensors, self._believed, self._follow = sensors, believed, follow
         self._window, self._nu = window, model.nu
         self._rest, self._columns = given.at_rest(model)[self._nu :], given.columns(model)
@@ -79,7 +80,7 @@ class Following:
             EnvError: a field cannot be followed.
         """
         try:
-            differences = fields.changed(self._model, new)
+            differences = self._reference.differences(new)
         except ScenarioError as error:
             raise EnvError(f"{self._name} has changed its model: {error}") from None
         if "opt.timestep" in differences:

@@ -40,40 +40,59 @@ _GAP = 4096  # bytes of other fields that are compared too, rather than in two p
 
 
 def read(model: mujoco.MjModel) -> Fields:
-    """All fields of a model, as copies."""
-    out: Fields = {name: np.array(getattr(model, name)) for name in _ARRAYS}
+    """All fields of a model that are not empty, as copies."""
+    arrays = ((name, getattr(model, name)) for name in _ARRAYS)
+    out: Fields = {name: array.copy() for name, array in arrays if array.size}
     for name in _OPTIONS:
         value = getattr(model.opt, name)
         out[f"opt.{name}"] = np.array(value) if isinstance(value, np.ndarray) else value
     return out
 
 
-def changed(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Fields:
-    """The fields that differ from those of a model with the same flags.
+class Reference:
+    """A model with which the fields of others are compared.
 
-    A field of sites may be longer in the model, which may have more of them.
-
-    Raises:
-        ScenarioError: the sizes differ.
+    Args:
+        model: with the flags of `flags.set_flags`; it may have more sites than the others.
     """
-    out: Fields = {}
-    for name, value in fields.items():
-        if name.startswith("opt."):
-            here = getattr(model.opt, name.removeprefix("opt."))
-            if np.any(here != value) and not _flags_only(name, here, value):
+
+    def __init__(self, model: mujoco.MjModel):
+        fields = read(model)
+        self._options = {name: v for name, v in fields.items() if name.startswith("opt.")}
+        arrays = {name: v for name, v in fields.items() if name not in self._options}
+        self._shapes = {name: value.shape for name, value in arrays.items()}
+        self._bytes = {name: value.tobytes() for name, value in arrays.items()}
+
+    def differences(self, fields: Mapping[str, Any]) -> Fields:
+        """The fields that differ.
+
+        Raises:
+            ScenarioError: the sizes differ.
+        """
+        out: Fields = {}
+        for name, value in fields.items():
+            if name in self._options:
+                here = self._options[name]
+                if np.any(here != value) and not _flags_only(name, here, value):
+                    out[name] = value
+                continue
+            shape = self._shapes.get(name, (0,))
+            if name.startswith("site_"):
+                shape = (min(len(value), shape[0]), *shape[1:])
+            if shape != value.shape:
+                raise ScenarioError(
+                    f"{name} has the shape {value.shape} now, {shape} before: the robot is "
+                    "another one; make a new filter for it"
+                )
+            raw = value.tobytes()
+            if self._bytes[name][: len(raw)] != raw:
                 out[name] = value
-            continue
-        here = getattr(model, name)
-        if name.startswith("site_"):
-            here = here[: len(value)]
-        if here.shape != value.shape:
+        lost = [n for n in self._shapes if n not in fields and not n.startswith("site_")]
+        if lost:
             raise ScenarioError(
-                f"{name} has the shape {value.shape} now, {here.shape} before: the robot is "
-                "another one; make a new filter for it"
+                f"{lost[0]} is gone: the robot is another one; make a new filter for it"
             )
-        if value.size and here.tobytes() != value.tobytes():
-            out[name] = value
-    return out
+        return out
 
 
 def given(model: mujoco.MjModel, fields: Mapping[str, Any]) -> mujoco.MjModel:

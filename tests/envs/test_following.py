@@ -7,16 +7,18 @@ import copy
 import logging
 import pickle
 import re
+from typing import ClassVar
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from gymnasium.vector import AutoresetMode
 
 from estbench.envs import EstimatedObservation, RecordTruth, VectorEstimatedObservation
 from estbench.envs.errors import EnvError
-from tests.envs.changing import Arm
+from tests.envs.changing import ARM, Arm
 
 EXACT = {
     "estimator": "ekf", "process_noise": 0.0, "initial_std": 0.0, "observe": "state",
@@ -202,6 +204,44 @@ def test_the_environments_own_observation_is_of_the_model_that_it_has():
     for seed in (1, 2):
         observation, _ = env.reset(seed=seed)
         assert observation[-1] == env.unwrapped.model.geom_friction[0, 0] == shown[seed - 1, -1]
+
+
+class Led(MujocoEnv):
+    """A Gymnasium robot that a mocap body leads, which the policy sees."""
+
+    metadata: ClassVar = {
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 50,
+    }  # fmt: skip
+
+    def __init__(self, path):
+        space = gym.spaces.Box(-np.inf, np.inf, (12,), np.float64)
+        super().__init__(path, 5, space)
+
+    def reset_model(self):
+        """The arm on its target."""
+        self.set_state(np.array([0.6, -1.2, 0.0]), np.zeros(3))
+        return self._get_obs()
+
+    def step(self, action):
+        """Move the target, then the physics."""
+        self.data.mocap_pos[0, 2] += 0.004
+        self.do_simulation(action, self.frame_skip)
+        return self._get_obs(), 0.0, False, False, {}
+
+    def _get_obs(self):
+        data = self.data
+        return np.concatenate([data.qpos, data.qvel, data.mocap_pos[0], data.body("wrist").xpos])
+
+
+def test_the_environments_own_observation_at_an_exact_estimate_with_a_mocap_body(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    kwargs = {key: value for key, value in EXACT.items() if key != "observe"}
+    env = EstimatedObservation(Led(str(tmp_path / "arm.xml")), **kwargs)
+    alone = Led(str(tmp_path / "arm.xml"))
+    shown = [env.reset(seed=0)[0], *(env.step(np.full(1, 0.3))[0] for _ in range(8))]
+    own = [alone.reset(seed=0)[0], *(alone.step(np.full(1, 0.3))[0] for _ in range(8))]
+    np.testing.assert_allclose(shown, own, atol=1e-9)
+    assert np.ptp(np.array(own)[:, 8]) > 0.02
 
 
 class Other(Arm):
