@@ -127,6 +127,10 @@ class Following:
         own[:, columns["qfrc_applied"]], own[:, columns["xfrc_applied"]], own[:, -1] = 0, 0, 0
         return true, own
 
+    def close(self) -> None:
+        """Release the filters' model."""
+        self._believed = None
+
     def _forget(self, tick: int) -> None:
         """Drop the models that nothing can need any more."""
         for number in [n for n, end in self._past.items() if end < tick]:

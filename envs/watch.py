@@ -194,6 +194,7 @@ class Watch:
     def close(self) -> None:
         """Release the backends of the sensors and of the filter."""
         self._backend.close()
+        self._following.close()
         if self.filter is not None:
             self.filter.close()
 
