@@ -44,7 +44,7 @@ def robotics() -> str:
     text = inspect.getsource(utils)
     old = "joint_type = model.jnt_type[joint_id]"
     new = "joint_type = mujoco.mjtJoint(int(model.jnt_type[joint_id]))"
-    exec(compile(text.replace(old, new), utils.__file__, "exec"), vars(utils))
+    exec(compile(text.replace(old, new), str(utils.__file__), "exec"), vars(utils))
     return "AssertionError in set_joint_qpos and get_joint_qpos (Fetch, Kitchen, Hand)"
 
 

@@ -242,7 +242,8 @@ class VectorEstimatedObservation(VectorWrapper):
             new, known = np.asarray(info.pop(STATE)), info.pop(f"_{STATE}")
             self._last = new if known.all() else np.where(known[:, None], new, self._last)
             self._adapt(info, ~followed)
-            info.pop(MODEL, None), info.pop(f"_{MODEL}", None)
+            for key in (MODEL, f"_{MODEL}"):
+                info.pop(key, None)
             return self._parts(self._last)
         if self._members:
             for row in np.flatnonzero(began).tolist():
@@ -282,6 +283,7 @@ class VectorEstimatedObservation(VectorWrapper):
         final.pop(f"_{STATE}")
         self._adapt(final, over)
         self._adapt(info, ~over)
-        final.pop(MODEL, None), final.pop(f"_{MODEL}", None)
+        for key in (MODEL, f"_{MODEL}"):
+            final.pop(key, None)
         now = np.asarray(info[STATE])
         return self._parts(np.where(over[:, None], last, now))

@@ -206,7 +206,8 @@ class BatchBackend:
 
     def _give(self, batch: Batch, rows: Array, u: Array, use: flags.Use) -> None:
         """Write all inputs, and give each row its model; see `given`."""
-        lead, key, self._given = rows.shape[:-1], (batch.nsim, use), True
+        lead, self._given = rows.shape[:-1], True
+        key: tuple[int, flags.Use] = batch.nsim, use
         numbers = np.zeros(batch.nsim)
         if u.shape[-1] == self.model.nu:
             rows[..., self._inputs] = self._at_rest

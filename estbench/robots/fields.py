@@ -195,4 +195,4 @@ def _merged(places: list[tuple[int, int]]) -> list[tuple[int, int]]:
 def _words(start: int, stop: int) -> NDArray[np.uint64]:
     """The memory between two addresses; the last word, which names follow, is taken whole."""
     count = -(-(stop - start) // 8)
-    return np.frombuffer((ctypes.c_uint64 * count).from_address(start), np.uint64)
+    return np.ctypeslib.as_array((ctypes.c_uint64 * count).from_address(start))
