@@ -194,13 +194,13 @@ class Sampler:
         """The readings that are due, and the number of each row's."""
         if self._shared is not None and moved is None:
             due, here, number = self._shared, None, self._shared_number
-            y, got = self._returned(clean, None, due - self._shared_begin)
+            y, got = self._returned(clean, None, tick - self._shared_begin)
             self._shared = self._upcoming(tick)
         else:
             self._separate()
             taking = self._next <= tick if moved is None else (self._next <= tick) & moved
             here, due, number = None if taking.all() else taking, self._due, self._number.copy()
-            y, got = self._returned(clean, here, due - self._begin)
+            y, got = self._returned(clean, here, tick - self._begin)
             while taking.any():  # a step of an environment may pass over more than one
                 self._number[taking] += 1
                 self._plan(taking)
@@ -223,51 +223,53 @@ class Sampler:
             self._soonest = min(self._soonest, arrival)
 
     def _returned(
-        self, clean: Array, here: Mask | None, due: int | Ints
+        self, clean: Array, here: Mask | None, taken: int | Ints
     ) -> tuple[Array, Mask | None]:
         """As `_read`, of true readings of which a component without a return is +inf.
 
         The sensor's noise and memory go on as if the true reading were zero there.
         """
         if surely_finite(clean):
-            return self._read(clean, here, due)
+            return self._read(clean, here, taken)
         gone = np.isinf(clean)
-        y, got = self._read(np.where(gone, 0.0, clean), here, due)
+        y, got = self._read(np.where(gone, 0.0, clean), here, taken)
         seen = np.any(~gone, axis=1)
         return np.where(gone, np.inf, y), np.asarray(seen if got is None else got & seen)
 
-    def _read(self, clean: Array, here: Mask | None, due: int | Ints) -> tuple[Array, Mask | None]:
+    def _read(
+        self, clean: Array, here: Mask | None, taken: int | Ints
+    ) -> tuple[Array, Mask | None]:
         """A reading `(row, ny)` with all that the sensor does to it, and who gets it `(row,)`.
 
         Args:
             clean: noise-free readings `(row, ny)`.
             here: rows that take it; None is all.
-            due: ticks since the episode began at which it is due, of all rows or `(row,)`.
+            taken: ticks since the episode began at which it is taken, of all rows or `(row,)`.
         """
         channel, part = self.channel, self.channel.imperfections
         self._drawn = here
         noise = self._noise.draw(here)
         if channel.schedule is not None:
-            noise = self._scheduled(noise, due)
+            noise = self._scheduled(noise, taken)
         if part is None or self._memory is None:
             return (clean if self._exact else self._space.plus(clean, noise)), None
         draws = {purpose: numbers.draw(here) for purpose, numbers in self._draws.items()}
         time = np.full((self._rows, 1), channel.timing.timestep)
-        time *= due if isinstance(due, int) else due[:, None]
+        time *= taken if isinstance(taken, int) else taken[:, None]
         state = imperfections.advance(part, noise, self._memory, draws, time)
         if here is not None:
             state = select(here, state, self._memory, "sensor")
         y, self._memory = imperfections.respond(part, channel.space, clean, state, here)
         return y, ~self._memory.lost if part.dropout else None
 
-    def _scheduled(self, white: Array, due: int | Ints) -> Array:
-        """Noise `(row, m)` of readings due at these ticks, from standard normals `(row, m)`."""
+    def _scheduled(self, white: Array, taken: int | Ints) -> Array:
+        """Noise `(row, m)` of readings taken at these ticks, from standard normals `(row, m)`."""
         channel, timestep = self.channel, self.channel.timing.timestep
-        if isinstance(due, int):
-            return channel.noise_from(white, timestep * due)
+        if isinstance(taken, int):
+            return channel.noise_from(white, timestep * taken)
         out = np.empty_like(white)
-        for tick in np.unique(due):
-            out[due == tick] = channel.noise_from(white[due == tick], float(timestep * tick))
+        for tick in np.unique(taken):
+            out[taken == tick] = channel.noise_from(white[taken == tick], float(timestep * tick))
         return out
 
     def _switch_on(

@@ -70,6 +70,20 @@ TIMINGS = [
 ]
 
 
+def test_the_noise_of_a_scheduled_reading_is_that_of_the_time_at_which_it_is_taken():
+    """Not that of the time at which it was due; both kinds are near the change of the noise."""
+    section = {"noise": 1e-3, "rate": 25, "jitter": 0.016, "schedule": [(0.12, 1.0), (9.0, 1e6)]}
+    sampler, found = started(section, range(40), 60)
+    sides = []
+    for tick in (instant.tick for instant in found):
+        true = np.zeros((40, 1)) if sampler.takes(tick) else None
+        for d in sampler.at(tick, true):
+            for _, due, (y,) in unpacked(d, 40):
+                assert (abs(y) > 0.1) == (d.taken * 0.004 > 0.12 + 1e-9)
+                sides.append((d.taken > 30, due > 30))
+    assert {(True, False), (False, False), (True, True)} <= set(sides)
+
+
 @pytest.mark.parametrize("section", TIMINGS, ids=str)
 @pytest.mark.parametrize("frame_skip", [1, 3])
 def test_every_reading_arrives_once_with_what_was_true_when_it_was_taken(section, frame_skip):
