@@ -1,4 +1,4 @@
-"""Ten prepared faults, and what `estbench explain` names: `python -m benchmarks.faults`."""
+"""Prepared faults, and what `estbench explain` names: `python -m benchmarks.faults`."""
 
 import tempfile
 from pathlib import Path
@@ -28,6 +28,7 @@ FAULTS: dict[str, tuple[str, str, list[str]]] = {
             "filter.channels.pole_encoder.follow_schedule=false",
         ],
     ),
+    "contact": ("contact", str(Path(__file__).with_name("drop.toml")), ["bound=false"]),
 }  # fmt: skip
 """Fault -> the rule that should name it, the scenario, and what is wrong in it."""
 

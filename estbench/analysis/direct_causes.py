@@ -8,11 +8,18 @@ from estbench.analysis.courses import course
 from estbench.analysis.evidence import Evidence
 from estbench.analysis.finding import Finding, Rule, above, below
 from estbench.consistency.blocks import span
+from estbench.consistency.fields import PHASES
 from estbench.consistency.hypotheses import BIASES
+from estbench.consistency.intervals import Interval
+from estbench.consistency.phases import described
 from estbench.consistency.verdict import SIZES
 from estbench.consistency.verdict import above as too_large
 from estbench.scenario.believed import believed
+from estbench.shapes import Array, Float
 from estbench.tables.quantity import quantity
+
+LARGER = 1.5
+"""How many times as large NEES/n must be near contact as elsewhere, by its interval."""
 
 
 def latency(e: Evidence) -> Finding | None:
@@ -78,4 +85,49 @@ def some_time(e: Evidence) -> Finding | None:
     )  # fmt: skip
 
 
-DIRECT: Sequence[Rule] = (latency, start, some_time)
+def contact(e: Evidence) -> Finding | None:
+    """The errors are too large from the first event of contact on, or near the events.
+
+    What goes wrong at an event lasts, so that the phases after it may be as wrong.
+    """
+    if "nees_around_contact" not in e.record or not any(map(too_large, e.refuted(*SIZES))):
+        return None
+    event = PHASES.index("event")
+    around, near = e.record["nees_around_contact"], e.record["anees_by_phase"][:, event]
+    where = described(e.scenario.contact)[event]
+    before, since = _both(e, around[:, 0], around[:, 1])
+    rest, here = _both(e, _without(e, event), near)
+    if above(since) and not above(before) and since.low > LARGER * before.value:
+        shown = (
+            f"{quantity(before)} until the run comes {where}, and {quantity(since)} from then on"
+        )
+    elif above(here) and here.low > LARGER * rest.value:
+        shown = f"{quantity(here)} {where}, and {quantity(rest)} elsewhere"
+    else:
+        return None
+    return Finding(
+        "contact",
+        f"NEES/n is {shown}: the filter's approximation of the transition fails at the kinks of "
+        "contact",
+        "a filter for contact (`rotated_ukf`, `diplf`; docs/contact.md)",
+    )
+
+
+def _both(
+    e: Evidence, one: Float[Array, " run"], other: Float[Array, " run"]
+) -> tuple[Interval, Interval]:
+    """The means of two ratios over the runs that have both."""
+    both = np.isfinite(one) & np.isfinite(other)
+    return e.ratio(one[both])[0], e.ratio(other[both])[0]
+
+
+def _without(e: Evidence, phase: int) -> Float[Array, " run"]:
+    """NEES/n of each run over the instants of the other phases."""
+    others = np.arange(len(PHASES)) != phase
+    steps = e.record["phase_steps"][:, others]
+    total = np.where(steps > 0, e.record["anees_by_phase"][:, others] * steps, 0.0).sum(axis=1)
+    count = steps.sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+DIRECT: Sequence[Rule] = (latency, start, contact, some_time)

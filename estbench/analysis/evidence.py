@@ -3,6 +3,7 @@
 Means across runs have intervals that hold for all columns of a variable at once (Bonferroni).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -94,7 +95,7 @@ class Evidence:
     def _intervals(
         self, values: Array, interval: Callable[[Array, float], Interval]
     ) -> list[Interval]:
-        columns = values.reshape(len(values), -1).T
+        columns = values.reshape(len(values), math.prod(values.shape[1:])).T
         level = 1 - (1 - self.scenario.consistency.level) / len(columns)
         return [interval(column[np.isfinite(column)], level) for column in columns]
 

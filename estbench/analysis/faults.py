@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estbench.analysis.trials import STEP, Trial
+from estbench.analysis.trials import STEP, Trial, in_contact
+from estbench.consistency.fields import PHASES
 from estbench.consistency.verdict import Verdict
 from estbench.shapes import Array, Float
+from estbench.spaces.linalg import solve_lower
 
 SMALL, LARGE = 1 / 1.9, 10.0
 """Factors on P whose inverses have the mean 1: right on average, wrong at each instant."""
@@ -86,6 +88,25 @@ def channel(trial: Trial, runs: int) -> Trial:
     return replace(trial, white=trial.white * factor)
 
 
+def restless(trial: Trial, runs: int) -> Trial:
+    """S 1.9 times too small in each second tenth of a run and 10 times too large in the others.
+
+    NIS/m is right on average, and the errors are.
+    """
+    odd = np.arange(len(trial.white)) // (len(trial.white) // 10) % 2
+    return replace(
+        trial, white=trial.white * np.sqrt(np.where(odd, 1 / LARGE, 1 / SMALL))[:, None, None]
+    )
+
+
+def periodic(trial: Trial, runs: int) -> Trial:
+    """Innovations with a correlation of 0.3 at lag 6."""
+    white = trial.white.copy()
+    for k in range(6, len(white)):
+        white[k] = 0.3 * white[k - 6] + np.sqrt(1 - 0.3**2) * trial.white[k]
+    return replace(trial, white=white)
+
+
 def coloured(trial: Trial, runs: int) -> Trial:
     """Innovations with a lag-one correlation of 0.3."""
     white = trial.white.copy()
@@ -97,6 +118,33 @@ def coloured(trial: Trial, runs: int) -> Trial:
 def lost(trial: Trial, runs: int) -> Trial:
     """One run in fifty diverged."""
     return replace(trial, lost=np.arange(len(trial.lost)) % 50 == 0)
+
+
+def opposite(trial: Trial, runs: int) -> Trial:
+    """σ² of the first coordinate 1.9 times too small and of the last 10 times too large, by turns.
+
+    From one instant to the next; NEES/n, and each coordinate, are right on average.
+    """
+    d = np.ones(trial.cov.shape[:2])
+    d[:, 0] = np.where(np.arange(len(d)) % 2, SMALL, LARGE)
+    d[:, -1] = np.where(np.arange(len(d)) % 2, LARGE, SMALL)
+    return replace(trial, cov=trial.cov * np.sqrt(d[:, :, None] * d[:, None, :]))
+
+
+def uncorrelated(trial: Trial, runs: int) -> Trial:
+    """Correlated errors (0.6) of which P has the variances only."""
+    root = np.asarray(np.linalg.cholesky(trial.cov), np.float64)
+    white = solve_lower(root[:, None], trial.error[..., None])[..., 0]
+    n = white.shape[-1]
+    mixed = white @ np.linalg.cholesky(np.full((n, n), 0.6) + 0.4 * np.eye(n)).T
+    return replace(trial, error=mixed, cov=np.broadcast_to(np.eye(n), trial.cov.shape))
+
+
+def landing(trial: Trial, runs: int) -> Trial:
+    """P 3 times too small within 3 steps of an event of contact."""
+    known = in_contact(trial)
+    assert known.phases is not None
+    return _scaled(known, np.where(known.phases[..., PHASES.index("event")], 1 / 3, 1.0))
 
 
 def copied(trial: Trial, runs: int) -> Trial:
@@ -145,6 +193,11 @@ FAULTS = {
     "common": Fault(common, (*OVER, Verdict.BIASED), "σ"),
     "channel": Fault(channel, OVER, "overconfident innovations: speed, NIS/m 1.5"),
     "coloured": Fault(coloured, (Verdict.CORRELATED,), "at lag 1"),
+    "restless": Fault(restless, (*OVER, *CONSERVATIVE), "innovations: NIS/m"),
+    "periodic": Fault(periodic, (Verdict.CORRELATED,), "at lag 6"),
+    "opposite": Fault(opposite, OVER, "x its variance while this is small"),
+    "uncorrelated": Fault(uncorrelated, OVER, "in combinations of coordinates: wrong correlations"),
+    "landing": Fault(landing, OVER, "within 3 steps of a touch-down or a lift-off"),
     "lost": Fault(lost, (Verdict.DIVERGING,), "runs diverged (2.0%)"),
     "copied": Fault(copied, (Verdict.UNDECIDED, Verdict.CONSISTENT), "runs are copies"),
     "heavy": Fault(heavy, (Verdict.UNDECIDED, Verdict.CONSISTENT)),

@@ -164,6 +164,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
                 scenario.consistency,
                 tuple(map(str, names)),
                 channels,
+                scenario.contact,
             )
             for label, record in records.items()
         },

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estbench.consistency import records
+from estbench.consistency import phases, records
 from estbench.consistency.fields import Record
 from estbench.estimators.kf import KF
 from estbench.inference.lags import Lags
@@ -17,11 +17,14 @@ from estbench.inference.traces import Traces
 from estbench.models.linear import LinearModel
 from estbench.scenario.schema import ConsistencySection
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.linalg import quadratic_form
+from estbench.spaces.directions import directions
+from estbench.spaces.linalg import solve_lower
 from estbench.spaces.semidefinite import eigen_root
 
 STEP = 0.1
 """s, the time of one step."""
+NEAR = 3
+"""Steps before and after an event of contact that belong to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +37,9 @@ class Trial:
         scale: what the filter reports is `scale` times P.
         white: whitened innovations, one channel each.
         lost: runs that diverged.
+        touching: whether the robot touches something: the first coordinate of the true state is
+            negative.
+        phases: of contact, in the order of `fields.PHASES`; None where the verdict is not to know.
     """
 
     error: Float[Array, "time run n"]
@@ -41,6 +47,8 @@ class Trial:
     scale: Float[Array, "time run"]
     white: Float[Array, "time-1 run channel"]
     lost: Bool[Mask, " run"]
+    touching: Bool[Mask, "time run"]
+    phases: Bool[Mask, "time run phase"] | None = None
 
     @property
     def times(self) -> Float[Array, " time"]:
@@ -68,20 +76,33 @@ def simulate(
     belief = filter_.init(np.zeros((runs, n)), np.tile(np.eye(n), (runs, 1, 1)))
     error, cov = np.empty((steps + 1, runs, n)), np.empty((steps + 1, n, n))
     white = np.empty((steps, runs, m))
-    error[0], cov[0] = x - belief.mean, belief.cov[0]
+    touching = np.empty((steps + 1, runs), bool)
+    error[0], cov[0], touching[0] = x - belief.mean, belief.cov[0], x[:, 0] < 0
     for k in range(steps):
         x = x @ truth.A.T + rng.standard_normal((runs, n)) @ noise.T
         y = x @ truth.C.T + rng.standard_normal((runs, m)) @ sensor.T
         belief = filter_.predict(belief, u, float(k), 1.0)
         belief, innovation = filter_.update(belief, y, u, float(k + 1))
-        error[k + 1], cov[k + 1] = x - belief.mean, belief.cov[0]
+        error[k + 1], cov[k + 1], touching[k + 1] = x - belief.mean, belief.cov[0], x[:, 0] < 0
         white[k] = innovation.white
-    return Trial(error, cov, np.ones((steps + 1, runs)), white, np.zeros(runs, bool))
+    lost = np.zeros(runs, bool)
+    return Trial(error, cov, np.ones((steps + 1, runs)), white, lost, touching)
+
+
+def in_contact(trial: Trial) -> Trial:
+    """The same, with the phases of contact: near an event is within `NEAR` steps of a change."""
+    event = np.zeros_like(trial.touching)
+    event[1:] = trial.touching[1:] ^ trial.touching[:-1]
+    found = phases.phases(trial.times, trial.touching, event, NEAR * STEP)
+    return replace(trial, phases=found)
 
 
 def traces(trial: Trial) -> Traces:
     """What the event loop records of the same runs."""
     error, (steps, runs, m) = trial.error, trial.white.shape
+    root = np.asarray(np.linalg.cholesky(trial.cov), np.float64)
+    whitened = solve_lower(root[:, None], error[..., None])[..., 0]
+    whitened = whitened / np.sqrt(trial.scale)[..., None]
     variance = np.diagonal(trial.cov, axis1=-2, axis2=-1)[:, None] * trial.scale[..., None]
     square = trial.white**2
     channels = {str(i): 1 for i in range(m)}
@@ -94,11 +115,8 @@ def traces(trial: Trial) -> Traces:
         mean=np.zeros_like(error),
         error=error,
         std=np.sqrt(variance),
-        nees=quadratic_form(
-            trial.cov[:, None].repeat(runs, axis=1).reshape(-1, *trial.cov.shape[1:]),
-            error.reshape(-1, error.shape[-1]),
-        ).reshape(error.shape[:2])
-        / trial.scale,
+        nees=np.vecdot(whitened, whitened),
+        along=(whitened @ directions(error.shape[-1])) ** 2,
         rank=np.full(error.shape[:2], error.shape[-1]),
         nis=square.sum(axis=-1),
         dof=np.full((steps, runs), m),
@@ -116,7 +134,8 @@ def traces(trial: Trial) -> Traces:
 
 def reduced(trial: Trial) -> Record:
     """The numbers of each run, as they are stored."""
-    return records.reduce(traces(trial), trial.times, ConsistencySection(), "summary")
+    section = ConsistencySection()
+    return records.reduce(traces(trial), trial.times, section, "summary", trial.phases)
 
 
 def experiments(record: Record, runs: int) -> Iterator[Record]:

@@ -195,7 +195,7 @@ def _weight(
             their weight, as they may all be 0.
     """
     runs, kept = len(cost), cost.shape[-1]
-    W = np.tensordot(change, change, ((0, 1), (0, 1))) / runs
+    W = _gram(change) / runs
     W[:kept, :kept] += _mean(cost)
     if regular:
         size = np.diag(W)[kept : 2 * kept]
@@ -203,9 +203,14 @@ def _weight(
         W[place, place] += np.where(size > 0, FLOOR * size, 1.0)
     for key, here in arrived:
         M = seen[key] if here is None else seen[key][here]
-        flat = M.reshape(-1, M.shape[-1])
-        W[: flat.shape[1], : flat.shape[1]] += flat.T @ flat / runs
+        W[: M.shape[-1], : M.shape[-1]] += _gram(M) / runs
     return W
+
+
+def _gram(M: Float[Array, "run m k"]) -> Float[Array, "k k"]:
+    """Σ MᵀM over the runs: one product of flat matrices."""
+    flat = M.reshape(-1, M.shape[-1])
+    return flat.T @ flat
 
 
 def _expected(before: Variations, now: Step) -> tuple[Array, Array, Seen]:
@@ -218,7 +223,7 @@ def _expected(before: Variations, now: Step) -> tuple[Array, Array, Seen]:
     xi = np.concatenate([_mean(now.F) @ T, np.broadcast_to(G, (*T.shape[:-1], G.shape[-1]))], -1)
     seen = dict(before.expected or {})
     for key, H in now.taken.items():
-        seen[key] = psd_root(np.tensordot(H, H, ((0, 1), (0, 1))) / len(H)).T @ xi
+        seen[key] = psd_root(_gram(H) / len(H)).T @ xi
     W = np.broadcast_to(np.eye(xi.shape[-1]), (len(xi), xi.shape[-1], xi.shape[-1])).copy()
     for key, here in now.arrived:
         k = seen[key].shape[-1]

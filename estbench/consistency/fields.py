@@ -98,6 +98,11 @@ class BatchTraces:
         return np.full_like(self.traces.error, np.nan) if known is None else known
 
     @cached_property
+    def bounded(self) -> Bool[Mask, "time run"]:
+        """Where the bound is known."""
+        return np.asarray(np.isfinite(self.bound).all(axis=-1))
+
+    @cached_property
     def inside(self) -> Float[Array, "run n 3"]:
         """Share of the settled steps with an error of at most 1, 2, 3σ."""
         return inside(self.traces.error[self.settled], self.traces.std[self.settled])
@@ -152,6 +157,18 @@ class BatchTraces:
         found = [means(values, wide[:, :, p], [self.settled]) for p in range(len(PHASES))]
         return np.concatenate(found, axis=1)
 
+    def around_contact(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
+        """Mean over the settled instants before the first event of contact, and from it on.
+
+        Its window belongs to the event. NaN for a run without an event.
+        """
+        if self.phases is None:
+            return np.full((self.runs, 2), np.nan)
+        since = np.maximum.accumulate(self.phases[..., PHASES.index("event")], axis=0)
+        parts = [means(values, part & since[-1] & self.judged, [self.settled])[:, 0]
+                 for part in (~since, since)]  # fmt: skip
+        return np.stack(parts, axis=-1)
+
     def phase_steps(self) -> Int[Ints, "run phase"]:
         """How many settled instants each phase has; 0 where the phases are not known."""
         if self.phases is None:
@@ -163,6 +180,12 @@ class BatchTraces:
         """NIS/m at every instant; NaN where nothing arrived."""
         return self.nis / np.maximum(self.dof, 1)
 
+    @cached_property
+    def log_variance(self) -> Float[Array, "settled run n"]:
+        """Logarithm of σ² at the settled instants; 0 where the filter reports none."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self.uncertain, 2 * np.log(self.traces.std), 0.0)[self.settled]
+
     def by_size(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
         """Mean over the instants whose covariance is below the run's median, and over the others.
 
@@ -170,16 +193,19 @@ class BatchTraces:
         what the filter reports alone: the mean of NEES/n of a consistent filter is 1 in both. NaN
         for a run whose covariance hardly changes (by less than `STEADY` in σ²).
         """
-        with np.errstate(invalid="ignore", divide="ignore"):
-            size = np.where(self.uncertain, 2 * np.log(self.traces.std), 0.0)[self.settled]
-            size = size.mean(axis=-1)
-            small = size < np.median(size, axis=0)
-        changes = np.ptp(size, axis=0) > STEADY
-        chosen = values[self.settled]
-        every = [np.ones(len(chosen), bool)]
-        judged = self.judged[self.settled] & changes
-        parts = [means(chosen, part & judged, every)[:, 0] for part in (small, ~small)]
-        return np.stack(parts, axis=-1)
+        return _by_size(self.log_variance.mean(axis=-1), values[self.settled],
+                        self.judged[self.settled])  # fmt: skip
+
+    def coordinates_by_size(self) -> Float[Array, "run 2 n"]:
+        """The same of (error/σ)² of each coordinate, by its own variance."""
+        known = self.uncertain[self.settled]
+        found = _by_size(self.log_variance, self.scaled[self.settled] ** 2, known)
+        return np.swapaxes(found, 1, 2)
+
+    def along(self) -> Float[Array, "run direction"]:
+        """Mean over the settled instants of the square along each fixed direction."""
+        values = self.traces.along[self.settled]
+        return means(values, np.isfinite(values), [np.ones(len(values), bool)])[:, 0]
 
     def channel_nis(self) -> Float[Array, "run channel"]:
         """Mean over the settled updates of NIS/m of each channel; NaN where none arrived."""
@@ -229,6 +255,26 @@ class BatchTraces:
             ratio = np.where(traces.dof > 0, traces.nis / np.maximum(traces.dof, 1), 0.0)[late]
             updates = (traces.dof[late] > 0).sum(axis=0)
             return np.where(updates > 0, ratio.sum(axis=0) / np.maximum(updates, 1), np.nan)
+
+
+def _by_size(
+    size: Float[Array, "time run *any"],
+    values: Float[Array, "time run *any"],
+    counted: Bool[Mask, "time run *any"],
+) -> Float[Array, "run *any 2"]:
+    """Mean of values over the instants with a size below the run's median, and over the others.
+
+    Args:
+        size: logarithm of a variance.
+        values: of each instant.
+        counted: the values that count; none of a run whose size hardly changes does.
+    """
+    with np.errstate(invalid="ignore"):
+        small = size < np.median(size, axis=0)
+    counted = counted & (np.ptp(size, axis=0) > STEADY)
+    every = [np.ones(len(values), bool)]
+    parts = [means(values, part & counted, every)[:, 0] for part in (small, ~small)]
+    return np.stack(parts, axis=-1)
 
 
 def run_major(name: str) -> Callable[[BatchTraces], Shaped[NDArray[Any], "run time ..."]]:

@@ -14,7 +14,7 @@ from estbench.consistency.declaration import Sample, Statistic
 from estbench.consistency.fields import PHASES, Record
 from estbench.consistency.intervals import Interval, positive_mean_interval
 from estbench.consistency.statistics import ANEES, ANIS
-from estbench.scenario.schema import ContactEvent
+from estbench.scenario.schema import ContactEvent, ContactSection
 from estbench.shapes import Array, Bool, Float, Mask
 
 EVENTS: tuple[str, ...] = get_args(ContactEvent)
@@ -37,6 +37,13 @@ class InPhase:
     share: float
     values: tuple[Interval, ...]
     rmse: dict[str, Interval]
+
+
+def described(section: ContactSection) -> tuple[str, ...]:
+    """Where each of `PHASES` is, as a sentence says it."""
+    kinds = " or ".join(f"a {kind}" for kind in section.events)
+    steps = f"{section.steps} step{'s' * (section.steps != 1)}"
+    return "in flight", "in stance", f"within {steps} of {kinds}"
 
 
 def events(

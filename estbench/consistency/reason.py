@@ -10,22 +10,24 @@ from estbench.consistency.verdict import (
     BIASES,
     INNOVATIONS,
     MANY,
-    SIZES,
     Judgement,
     Verdict,
     above,
     bounds,
+    sizes,
 )
 
 MOST = 3
 """Clauses in a line."""
+APART = (Kind.NEES_SIZE, Kind.NEES_RUNS, Kind.COORDINATE_SIZE, Kind.NEES_ALONG)
+"""Kinds that find what is right on average: they are named where they are worse than the others."""
 STANDS_OUT = 1.25
 """A coordinate is named beside NEES/n if its ratio is at least so many times as far off."""
 
 
 def reason(
     j: Judgement, names: Sequence[str], channels: Sequence[str], blocks: Sequence[Block],
-    tolerance: float = 0.1, failed_at: float = 0.0,
+    tolerance: float = 0.1, failed_at: float = 0.0, phases: Sequence[str] = (),
 ) -> str:  # fmt: skip
     """One line, such as `overconfident: pole.vel, 2.1 x its variance, from 0.0 to 0.4 s`.
 
@@ -36,13 +38,14 @@ def reason(
         blocks: of time.
         tolerance: of the judgement.
         failed_at: when the simulation of a truth failed first, s.
+        phases: of contact, such as `in flight`.
     """
     clauses = [
-        _clause("overconfident", _size(j, True, names, blocks)),
+        _clause("overconfident", _size(j, True, names, blocks, phases)),
         _clause("biased", _bias(j, names, blocks)),
-        _clause("conservative", _size(j, False, names, blocks)),
-        _clause("overconfident innovations", _innovations(j, True, channels)),
-        _clause("conservative innovations", _innovations(j, False, channels)),
+        _clause("conservative", _size(j, False, names, blocks, phases)),
+        _clause("overconfident innovations", _innovations(j, True, channels, blocks)),
+        _clause("conservative innovations", _innovations(j, False, channels, blocks)),
         _clause("correlated innovations", _whiteness(j)),
     ]
     said = [c for c in clauses if c][:MOST]
@@ -60,7 +63,7 @@ def reason(
         else:
             said.append(failed)
     if j.verdict is Verdict.UNDECIDED:
-        said.insert(0, _undecided(j, names, blocks, tolerance))
+        said.insert(0, _undecided(j, names, blocks, phases, tolerance))
     if j.copies:
         said.append(f"{j.copies} runs are copies of others and were left out")
     if j.lacking:
@@ -117,21 +120,26 @@ def _worst_coordinate(
     return worst.coordinate, value, when
 
 
-def _size(j: Judgement, large: bool, names: Sequence[str], blocks: Sequence[Block]) -> str:
+def _size(
+    j: Judgement, large: bool, names: Sequence[str], blocks: Sequence[Block], phases: Sequence[str]
+) -> str:
     """What the errors are larger, or smaller, than their covariance in."""
 
     def side(h: Hypothesis) -> bool:
         return above(h) == large
 
-    failing = [h for h in j.refuted if h.kind in SIZES and side(h)]
+    failing = [h for h in sizes(j.refuted) if side(h)]
     if not failing:
         return ""
-    apart = [h for h in failing if h.kind in (Kind.NEES_SIZE, Kind.NEES_RUNS)]
+    apart = [h for h in failing if h.kind in APART]
     others = [h for h in failing if h not in apart]
     if apart:
         h = max(apart, key=_effect)
+        wide = [a for a in apart if a.kind in (Kind.NEES_SIZE, Kind.NEES_RUNS)]
+        if wide and _effect(h) <= STANDS_OUT * max(map(_effect, wide)):
+            h = max(wide, key=_effect)
         if _effect(h) > STANDS_OUT * max(map(_effect, others), default=0.0):
-            return f"NEES/n {_times(h.mean.value)} {_which(h)}"
+            return _which(h, names)
     whole = next((h for h in failing if h.kind is Kind.NEES), None)
     parts = []
     if whole is not None:
@@ -143,6 +151,10 @@ def _size(j: Judgement, large: bool, names: Sequence[str], blocks: Sequence[Bloc
         if whole is None or far > STANDS_OUT * _effect(whole):
             lead = "most in " if whole is not None else ""
             parts.append(f"{lead}{names[i]}, {_times(value)} x its variance{when}")
+    near = _phase(j, side)
+    if near is not None:
+        lead = "most " if parts else "NEES/n "
+        parts.append(f"{lead}{_times(near.mean.value)} {phases[near.place]}")
     if len(parts) < 2 and (whole is not None or worst is None):
         found = _where(j, Kind.NEES_BLOCK, None, side, blocks)
         if found is not None:
@@ -150,16 +162,32 @@ def _size(j: Judgement, large: bool, names: Sequence[str], blocks: Sequence[Bloc
             parts.append(f"{what} {_times(found[0])}{found[1]}")
     if not parts:
         h = max(others, key=_effect)
-        parts.append(f"NEES/n {_times(h.mean.value)}, {span([blocks[h.block or 0]])}")
+        when = f" {phases[h.place]}" if h.kind is Kind.NEES_PHASE else ""
+        when = when or f", {span([blocks[h.block or 0]])}"
+        parts.append(f"NEES/n {_times(h.mean.value)}{when}")
     return ", ".join(parts)
 
 
-def _which(h: Hypothesis) -> str:
-    """The instants or the runs of a hypothesis that tells them apart by the covariance."""
+def _phase(j: Judgement, side: Callable[[Hypothesis], bool]) -> Hypothesis | None:
+    """The phase of contact that fails most, if it stands out among the phases."""
+    failing = [h for h in j.refuted if h.kind is Kind.NEES_PHASE and side(h)]
+    if not failing:
+        return None
+    worst = max(failing, key=_effect)
+    others = [_effect(h) for h in failing if h is not worst]
+    return worst if _effect(worst) > STANDS_OUT * max(others, default=0.0) else None
+
+
+def _which(h: Hypothesis, names: Sequence[str]) -> str:
+    """What a hypothesis of `APART` is about, and by how much it is wrong."""
+    if h.kind is Kind.NEES_ALONG:
+        return f"NEES/n {_times(h.mean.value)} in combinations of coordinates: wrong correlations"
     size = "small" if h.place == 0 else "large"
-    if h.kind is Kind.NEES_SIZE:
-        return f"while its covariance is {size}"
-    return f"in the runs with a {size} covariance"
+    if h.coordinate is not None:
+        return f"{names[h.coordinate]}, {_times(h.mean.value)} x its variance while this is {size}"
+    what = "while its covariance is" if h.kind is Kind.NEES_SIZE else "in the runs with a"
+    end = "" if h.kind is Kind.NEES_SIZE else " covariance"
+    return f"NEES/n {_times(h.mean.value)} {what} {size}{end}"
 
 
 def _bias(j: Judgement, names: Sequence[str], blocks: Sequence[Block]) -> str:
@@ -173,16 +201,23 @@ def _bias(j: Judgement, names: Sequence[str], blocks: Sequence[Block]) -> str:
     return f"{names[i]} {value:+.2g} σ{when}"
 
 
-def _innovations(j: Judgement, large: bool, channels: Sequence[str]) -> str:
+def _innovations(
+    j: Judgement, large: bool, channels: Sequence[str], blocks: Sequence[Block]
+) -> str:
     failing = [h for h in j.refuted if h.kind in INNOVATIONS and above(h) == large]
-    one = [h for h in failing if h.channel is not None]
-    total = [h for h in failing if h.channel is None]
-    every = len({h.channel for h in j.hypotheses if h.channel is not None})
+    if not failing:
+        return ""
+    one = [h for h in failing if h.kind is Kind.CHANNEL]
+    total = [h for h in failing if h.kind is Kind.NIS]
+    every = len({h.channel for h in j.hypotheses if h.kind is Kind.CHANNEL})
     if one and (len(one) < every or not total):
         worst = max(one, key=_effect)
         assert worst.channel is not None
         return f"{channels[worst.channel]}, NIS/m {_times(worst.mean.value)}"
-    return f"NIS/m {_times(total[0].mean.value)}" if total else ""
+    if total:
+        return f"NIS/m {_times(total[0].mean.value)}"
+    worst = max(failing, key=_effect)
+    return f"NIS/m {_times(worst.mean.value)}, {span([blocks[worst.block or 0]])}"
 
 
 def _whiteness(j: Judgement) -> str:
@@ -194,8 +229,9 @@ def _whiteness(j: Judgement) -> str:
 
 
 def _undecided(
-    j: Judgement, names: Sequence[str], blocks: Sequence[Block], tolerance: float
-) -> str:
+    j: Judgement, names: Sequence[str], blocks: Sequence[Block], phases: Sequence[str],
+    tolerance: float,
+) -> str:  # fmt: skip
     """What is not shown, and how many runs would decide."""
     if not j.open:
         return f"{j.runs} runs that did not diverge give no interval"
@@ -206,11 +242,12 @@ def _undecided(
 
     h = max(j.open, key=lacks)
     low, high = bounds(h, tolerance) or (0.0, 0.0)
-    what = "NEES/n" if h.kind in (Kind.NEES, Kind.NEES_BLOCK) else str(h.kind)
+    what = "NEES/n" if h.kind in (Kind.NEES, Kind.NEES_BLOCK, Kind.NEES_PHASE) else str(h.kind)
     if h.coordinate is not None:
         square = "mean square over its variance" if h.ideal else "mean error over σ"
         what = f"{names[h.coordinate]}, {square},"
     when = f" {span([blocks[h.block]])}" if h.block is not None else ""
+    when = f" {phases[h.place]}" if h.kind is Kind.NEES_PHASE else when
     if high <= low:
         return f"not refuted; with tolerance {tolerance:g} nothing can be shown"
     runs = f"about {j.needed} runs would decide" if j.needed else f"more than {MANY:,} runs needed"

@@ -25,6 +25,7 @@ from estbench.inference.lags import LAGS
 from estbench.inference.traces import Traces
 from estbench.scenario.schema import ConsistencySection
 from estbench.shapes import Array, Bool, Float, Mask
+from estbench.spaces.directions import COUNT
 
 SUMMARY: dict[str, Recorded] = {
     **{name: variable for s in STATISTICS for name, variable in s.variables.items()},
@@ -39,10 +40,23 @@ SUMMARY: dict[str, Recorded] = {
         (*RUN, "block"), "f8", "average of NEES/n in each block of time",
         lambda b: b.in_blocks(b.normalized, b.judged),
     ),
+    "nis_by_block": Recorded(
+        (*RUN, "block"), "f8", "average of NIS/m over the updates in each block of time",
+        lambda b: b.in_blocks(b.normalized_update, b.dof > 0),
+    ),
     "nees_by_size": Recorded(
         (*RUN, "size"), "f8",
         "average of NEES/n where the covariance is below its median over the run, and elsewhere",
         lambda b: b.by_size(b.normalized),
+    ),
+    "scaled_square_by_size": Recorded(
+        (*RUN, "size", "coordinate"), "f8",
+        "average of (error/σ)² where σ is below its median over the run, and elsewhere",
+        lambda b: b.coordinates_by_size(),
+    ),
+    "nees_along": Recorded(
+        (*RUN, "direction"), "f8", "average of the square of the whitened error along directions",
+        lambda b: b.along(),
     ),
     "phase_steps": Recorded(
         (*RUN, "phase"), "i8", "instants in flight, in stance and near an event of contact",
@@ -51,6 +65,11 @@ SUMMARY: dict[str, Recorded] = {
     "anees_by_phase": Recorded(
         (*RUN, "phase"), "f8", "average of NEES/n in each phase of contact",
         lambda b: b.in_phases(b.normalized, b.judged),
+    ),
+    "nees_around_contact": Recorded(
+        (*RUN, "side"), "f8",
+        "average of NEES/n before the first event of contact, and from it on",
+        lambda b: b.around_contact(b.normalized),
     ),
     "anis_by_phase": Recorded(
         (*RUN, "phase"), "f8", "average of NIS/m over the updates in each phase of contact",
@@ -134,11 +153,16 @@ SUMMARY: dict[str, Recorded] = {
         lambda b: b.total(b.variance),
     ),
     "bound_sum": Recorded(
-        (*STEP, "coordinate"), "f8", "sum over runs of the bound on the squared error, (unit)²",
-        lambda b: b.total(b.bound),
+        (*STEP, "coordinate"), "f8",
+        "sum over the runs with a bound of what each adds to that on the squared error, (unit)²",
+        lambda b: b.total(np.where(b.bounded[..., None], b.bound, 0.0)),
     ),
+    "bound_count": Recorded(STEP, "i8", "runs in it", lambda b: b.total(b.bounded)),
 }  # fmt: skip
-SIZES = {"lag": LAGS + 1, "block": blocks.COUNT, "size": 2, "phase": len(PHASES)}
+SIZES = {
+    "lag": LAGS + 1, "block": blocks.COUNT, "size": 2, "direction": COUNT, "phase": len(PHASES),
+    "side": 2,
+}  # fmt: skip
 """Dimensions that are the same for all scenarios."""
 COST = {
     "cpu_time": Recorded(

@@ -10,12 +10,15 @@ from estbench.consistency.blocks import blocks
 from estbench.consistency.declaration import Sample, Statistic
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import NONE
+from estbench.consistency.phases import described
 from estbench.consistency.reason import reason
 from estbench.consistency.statistics import Failure, Summary
 from estbench.consistency.verdict import judge
 from estbench.estimators.beliefs import Fault
-from estbench.scenario.schema import ConsistencySection
+from estbench.scenario.schema import ConsistencySection, ContactSection
 from estbench.shapes import Array, Bool, Float, Mask
+
+PHASES_BY_DEFAULT = ContactSection()
 
 
 def summarize(
@@ -26,6 +29,7 @@ def summarize(
     section: ConsistencySection,
     names: Sequence[str],
     channels: Sequence[str] = (),
+    contact: ContactSection = PHASES_BY_DEFAULT,
 ) -> Summary:
     """The summary of one estimator.
 
@@ -37,6 +41,7 @@ def summarize(
         section: level and tolerance of the verdict.
         names: of the coordinates.
         channels: their names; empty for a store of an earlier version.
+        contact: which events of contact have a phase.
     """
     sample = Sample(record, section.level, len(times) - 1)
     values: dict[str, Any] = {
@@ -54,7 +59,9 @@ def summarize(
         label=label,
         runs=len(runs),
         judgement=judgement,
-        reason=reason(judgement, names, channels, parts, section.tolerance, failed_at),
+        reason=reason(
+            judgement, names, channels, parts, section.tolerance, failed_at, described(contact)
+        ),
         failures=tuple(failures),
         late=int(record["late"].sum()),
         gated=_gated(record),

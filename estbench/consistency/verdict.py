@@ -28,7 +28,10 @@ runs whose truth could not be simulated is `simulation failed`."""
 FEW_LOST = 0.01
 """With a larger share no filter is consistent."""
 PART = 2.0
-"""A part (a coordinate, a block of time) must be shown to be within this factor of its variance."""
+"""A part (a coordinate, a block of time, a phase) must be shown to be within this factor of its
+variance."""
+RARE = 0.5
+"""A phase that a smaller share of the runs has need not be shown."""
 MANY = 1_000_000
 """More runs are not recommended."""
 
@@ -101,7 +104,13 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
     tested[chosen] = True
     hypotheses = family(record, tested, level)
     refuted = tuple(h for h in hypotheses if is_refuted(h, level, tolerance))
-    unshown = tuple(h for h in hypotheses if h not in refuted and not is_shown(h, tolerance))
+    unshown = tuple(
+        h
+        for h in hypotheses
+        if h not in refuted
+        and not is_shown(h, tolerance)
+        and not (h.kind is Kind.NEES_PHASE and h.runs < RARE * len(chosen))
+    )
     failed = diverged & (record["fault"] == Fault.TRUTH)
     judged, lost = int((~failed).sum()), int((diverged & ~failed).sum())
     if failed.sum() > MOST_LOST * len(failed):
@@ -113,7 +122,9 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
         hypotheses=hypotheses,
         refuted=refuted,
         open=unshown,
-        needed=_needed(unshown, level, tolerance) if verdict is Verdict.UNDECIDED else None,
+        needed=_needed(unshown, level, tolerance, len(chosen))
+        if verdict is Verdict.UNDECIDED
+        else None,
         runs=len(chosen),
         lost=lost,
         failed=int(failed.sum()),
@@ -124,11 +135,13 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
 
 
 def distinct(record: Record, runs: Int[Ints, " k"]) -> Int[Ints, " _"]:
-    """The runs without those whose NEES/n and RMSE equal those of an earlier one to the last bit.
+    """The runs without those whose NEES/n and RMSE equal those of an earlier one to seven digits.
 
     A run that was counted twice, or has no random numbers, says nothing new.
     """
     numbers = np.column_stack([record["anees"][runs], record["mse"][runs]])
+    with np.errstate(over="ignore"):
+        numbers = numbers.astype(np.float32)
     numbers = np.ascontiguousarray(numbers + 0.0)  # no negative zero
     rows = numbers.view(np.dtype((np.void, numbers.dtype.itemsize * numbers.shape[1])))[:, 0]
     _, first = np.unique(rows, return_index=True)
@@ -149,7 +162,7 @@ def bounds(h: Hypothesis, tolerance: float) -> tuple[float, float] | None:
     """
     if h.kind in (Kind.NEES, Kind.NIS):
         return 1 - tolerance, 1 + tolerance
-    if h.kind in (Kind.NEES_BLOCK, Kind.COORDINATE):
+    if h.kind in (Kind.NEES_BLOCK, Kind.NEES_PHASE, Kind.COORDINATE):
         return 1 / PART, PART
     if h.kind is Kind.BIAS:
         return -float(np.sqrt(PART - 1)), float(np.sqrt(PART - 1))
@@ -164,15 +177,24 @@ def is_shown(h: Hypothesis, tolerance: float) -> bool:
 
 SIZES = (
     Kind.NEES, Kind.NEES_BLOCK, Kind.NEES_SIZE, Kind.NEES_RUNS, Kind.COORDINATE,
-    Kind.COORDINATE_BLOCK,
+    Kind.COORDINATE_BLOCK, Kind.COORDINATE_SIZE, Kind.NEES_ALONG, Kind.NEES_PHASE,
 )  # fmt: skip
 """The kinds that compare the size of the errors with the covariance."""
-INNOVATIONS = (Kind.NIS, Kind.CHANNEL)
+INNOVATIONS = (Kind.NIS, Kind.NIS_BLOCK, Kind.CHANNEL)
 
 
 def above(h: Hypothesis) -> bool:
     """Whether the estimate is above the ideal value."""
     return h.mean.value > h.ideal
+
+
+def sizes(refuted: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those that say that the size of the errors is wrong.
+
+    A bias enlarges NEES along its own direction, which is then not counted.
+    """
+    biased = any(h.kind in BIASES for h in refuted)
+    return [h for h in refuted if h.kind in SIZES and not (biased and h.kind is Kind.NEES_ALONG)]
 
 
 def _word(
@@ -181,10 +203,11 @@ def _word(
     """What is dangerous comes first: too small a covariance, then a bias, then too large a one."""
     if lost > MOST_LOST:
         return Verdict.DIVERGING
+    wrong = sizes(refuted)
     tests: Mapping[Verdict, bool] = {
-        Verdict.OVERCONFIDENT: any(h.kind in SIZES and above(h) for h in refuted),
+        Verdict.OVERCONFIDENT: any(map(above, wrong)),
         Verdict.BIASED: any(h.kind in BIASES for h in refuted),
-        Verdict.CONSERVATIVE: any(h.kind in SIZES for h in refuted),
+        Verdict.CONSERVATIVE: bool(wrong),
     }
     for word, found in tests.items():
         if found:
@@ -200,17 +223,17 @@ def _word(
     return Verdict.UNDECIDED if unshown or runs < 2 else Verdict.CONSISTENT
 
 
-def _needed(unshown: Sequence[Hypothesis], level: float, tolerance: float) -> int | None:
+def _needed(unshown: Sequence[Hypothesis], level: float, tolerance: float, runs: int) -> int | None:
     """Runs after which each open hypothesis would be shown or refuted, with the estimates as now.
 
     The half-width q s/√N of the interval must be at most the distance of the estimate from the
-    nearer bound.
+    nearer bound. Of a hypothesis that only a share of the runs has a value for, N is that share.
     """
     counts = []
     for h in unshown:
         low, high = bounds(h, tolerance) or (0.0, 0.0)
         distance = min(abs(h.mean.value - low), abs(h.mean.value - high))
         ratio = normal_quantile(level) * h.spread / max(distance, 1e-12)
-        counts.append(max(h.runs + 1.0, ratio**2))
+        counts.append(max(h.runs + 1.0, ratio**2) * runs / h.runs)
     needed = max(counts, default=np.inf)
     return int(np.ceil(needed)) if needed <= MANY else None

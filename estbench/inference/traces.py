@@ -11,6 +11,7 @@ from estbench.estimators.protocol import Estimator
 from estbench.inference.answers import Answers
 from estbench.inference.lags import correlation
 from estbench.shapes import Array, Bool, Faults, Float, Int, Ints, Mask, UInt
+from estbench.spaces.directions import directions
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.semidefinite import RESOLUTION, range_form
 
@@ -26,6 +27,8 @@ class Traces:
         std: sqrt of P's diagonal; 0 where the coordinate is known exactly.
         nees: NEES on the range of P, not divided by its degrees of freedom.
         rank: degrees of freedom of NEES: n, less what P says is known exactly.
+        along: squares of the whitened error along each of `spaces.directions`; NaN where P is
+            singular.
         nis: NIS, not divided by m; NaN where nothing arrived.
         dof: how many components arrived.
         log_likelihood: log p(y | earlier readings), 0 where nothing arrived.
@@ -50,6 +53,7 @@ class Traces:
     std: Float[Array, "time run n"]
     nees: Float[Array, "time run"]
     rank: Int[Ints, "time run"]
+    along: Float[Array, "time run direction"]
     nis: Float[Array, "time-1 run"]
     dof: Int[Ints, "time-1 run"]
     log_likelihood: Float[Array, "time-1 run"]
@@ -83,6 +87,8 @@ class Recorder:
         self.truth, self.mean = (np.empty((count + 1, runs, space.nx)) for _ in range(2))
         self._error, self._std = (np.empty((count + 1, runs, n)) for _ in range(2))
         self._nees, self._rank = np.empty((count + 1, runs)), np.empty((count + 1, runs), np.int64)
+        self._directions = directions(n)
+        self._along = np.empty((count + 1, runs, self._directions.shape[1]))
         self._size = np.zeros((runs, n))
         self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
         self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
@@ -114,6 +120,7 @@ class Recorder:
         variance = np.where(form.known, 0.0, np.diagonal(P, axis1=-2, axis2=-1))
         self._std[index] = np.sqrt(np.where(variance >= 0, variance, np.nan))
         self._nees[index], self._rank[index] = form.value, form.dof
+        self._along[index] = (form.white @ self._directions) ** 2
         if self._cov is not None:
             self._cov[index] = P
         for found in (self._answers.asymmetry(P), fault):
@@ -147,5 +154,6 @@ class Recorder:
         """What was recorded, with what the event loop counted."""
         return Traces(
             truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
-            rank=self._rank, fault=self._fault, fault_step=self._fault_step, cov=self._cov, **fused,
+            rank=self._rank, along=self._along, fault=self._fault, fault_step=self._fault_step,
+            cov=self._cov, **fused,
         )  # fmt: skip

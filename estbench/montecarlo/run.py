@@ -247,6 +247,7 @@ def _collect(
                 section,
                 prepared.space.names,
                 tuple(prepared.channel_spaces),
+                prepared.scenario.contact,
             )
             for label, record in merged.items()
         ),

@@ -86,11 +86,13 @@ class RangeForm:
         value: the quadratic form; NaN where P is not finite, or indefinite.
         dof: rank of P.
         known: coordinates that are known exactly.
+        white: L⁻¹ v with L Lᵀ = P; NaN where P has not full rank.
     """
 
     value: Float[Array, " run"]
     dof: Int[Ints, " run"]
     known: Bool[Mask, "run n"]
+    white: Float[Array, "run n"]
 
 
 def range_form(
@@ -124,7 +126,8 @@ def range_form(
         few &= np.isfinite(cov).all(axis=(-2, -1)) & np.isfinite(v).all(axis=-1)
         floor = np.maximum(resolution[few] ** 2, _TINY)
         value[few], dof[few], known[few] = _on_range(cov[few], v[few], floor)
-    return RangeForm(value, dof, known)
+        white = np.where(full.all(axis=-1)[:, None], white, np.nan)
+    return RangeForm(value, dof, known, white)
 
 
 def full_rank(

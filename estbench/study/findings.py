@@ -63,6 +63,7 @@ class Findings:
                     scenario.consistency,
                     self.names,
                     self.channels,
+                    scenario.contact,
                 )
                 for label, record in records.items()
             }

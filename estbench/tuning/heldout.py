@@ -100,6 +100,7 @@ def compare(
             scenario.consistency,
             base.space.names,
             tuple(base.channel_spaces),
+            scenario.contact,
         )
         for record in (was, now)
     )

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import estbench
 from benchmarks.faults import FAULTS, named, store
-from estbench.analysis.direct_causes import latency, some_time, start
+from estbench.analysis.direct_causes import contact, latency, some_time, start
 from estbench.analysis.evidence import gather
 from estbench.analysis.explain import explain, failed, lost, too_late, undecided, unexplained
 from estbench.analysis.explanations import explanations, of
@@ -32,7 +32,10 @@ def matched(tmp_path_factory):
     return gather(load(folder), "ekf"), folder
 
 
-@pytest.mark.parametrize("fault", list(FAULTS)[::3])  # all ten: python -m benchmarks.faults
+SOME = [*list(FAULTS)[:10:3], "contact"]  # all of them: python -m benchmarks.faults
+
+
+@pytest.mark.parametrize("fault", SOME)
 def test_a_prepared_fault_is_named_first(fault, tmp_path):
     assert named(store(fault, tmp_path / "x", RUNS))[0] == FAULTS[fault][0]
 
@@ -92,6 +95,28 @@ def test_the_test_of_blocks_must_refute_before_a_time_is_named(matched):
     assert [h.block for h in some.refuted()]
     assert some_time(some) is None
     assert some_time(larger(evidence, [3, 4], 1.05)) is None
+
+
+def test_contact_is_named_where_the_errors_begin_with_it(matched):
+    evidence, _ = matched
+    large = {"anees": 5 * evidence.record["anees"]}
+    ones, spread = np.ones(RUNS), np.linspace(0.9, 1.1, RUNS)
+
+    def found(before, since, event, elsewhere):
+        phases = np.stack([elsewhere * spread, np.nan * ones, event * spread], axis=1)
+        return contact(changed(
+            evidence, **large, anees_by_phase=phases,
+            phase_steps=np.tile([50, 0, 50], (RUNS, 1)),
+            nees_around_contact=np.stack([before * spread, since * spread], axis=1),
+        ))  # fmt: skip
+
+    first, near = found(1, 5, 5, 5), found(np.nan, np.nan, 8, 2)
+    assert " until the run comes within 3 steps of a touch-down or a lift-off" in first.text
+    assert first.text.startswith("NEES/n is 1.0")
+    assert "within 3 steps of a touch-down or a lift-off, and 2.0" in near.text
+    assert "rotated_ukf" in first.remedy
+    assert found(5, 5, 5, 5) is found(2, 5, 5, 5) is found(1, 1, 1, 1) is None
+    assert contact(evidence) is contact(changed(evidence, **large)) is None
 
 
 def test_latency_reads_the_filter_table_of_the_estimator(matched):

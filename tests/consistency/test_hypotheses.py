@@ -5,14 +5,15 @@ from scipy import stats
 from estbench.analysis.calibration import observed
 from estbench.analysis.trials import reduced, simulate
 from estbench.consistency.hypotheses import (
+    CHOSEN,
     VARIABLES,
     WEIGHTS,
-    WHITE,
     Kind,
     family,
 )
 from estbench.consistency.intervals import mean_interval, positive_mean_interval
 from estbench.consistency.multiplicity import holm
+from estbench.inference.lags import LAGS
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def found(record):
 
 def test_every_kind_has_a_weight_and_its_variables():
     assert set(WEIGHTS) == set(VARIABLES) == set(Kind)
-    assert sum(WEIGHTS.values()) == pytest.approx(1.0)
+    assert sum(WEIGHTS.values()) - WEIGHTS[Kind.NEES_PHASE] == pytest.approx(1.0)
 
 
 def test_how_many_hypotheses_there_are(found):
@@ -35,7 +36,8 @@ def test_how_many_hypotheses_there_are(found):
     assert count == {
         Kind.NEES: 1, Kind.NEES_BLOCK: 10, Kind.NEES_SIZE: 2, Kind.NEES_RUNS: 0, Kind.COORDINATE: 2,
         Kind.COORDINATE_BLOCK: 20, Kind.BIAS: 2, Kind.BIAS_BLOCK: 20, Kind.NIS: 1, Kind.CHANNEL: 2,
-        Kind.WHITENESS: WHITE,
+        Kind.WHITENESS: LAGS, Kind.NIS_BLOCK: 10, Kind.NEES_PHASE: 0, Kind.NEES_ALONG: 2,
+        Kind.COORDINATE_SIZE: 4,
     }  # fmt: skip
     places = {(h.coordinate, h.block) for h in found if h.kind is Kind.BIAS_BLOCK}
     assert places == {(c, b) for c in range(2) for b in range(10)}
@@ -81,6 +83,37 @@ def test_runs_are_told_apart_by_their_covariance(record):
     assert (small.runs, large.runs) == (15, 15)
     assert small.mean.value == pytest.approx(record["anees"][below].mean())
     assert large.mean.value == pytest.approx(record["anees"][~below].mean())
+
+
+def phased(record, nees, steps=(5, 10, 35)):
+    """The record with NEES/n by phase, of mean 1 times the factors."""
+    rng = np.random.default_rng(4)
+    values = rng.gamma(40, 1 / 40, (30, 3)) * np.asarray(nees)
+    return {**record, "anees_by_phase": values, "phase_steps": np.tile(steps, (30, 1))}
+
+
+def test_a_phase_of_contact_is_refuted_beyond_what_choosing_it_by_the_truth_explains(record):
+    """p is that of the mean at the nearer end of [1/CHOSEN, CHOSEN]; 1 within."""
+    every = np.ones(30, bool)
+    for nees, wrong in (
+        ((1, 1, 1), ()),
+        ((1.3, 0.75, 1.45), ()),
+        ((1, 1, 4), (2,)),
+        ((0.3, 1, 1), (0,)),
+    ):
+        found = [h for h in family(phased(record, nees), every, 0.95) if h.kind is Kind.NEES_PHASE]
+        assert [h.place for h in found] == [0, 1, 2]
+        assert tuple(h.place for h in found if h.p < 0.01) == wrong
+        for h in found:
+            expected = positive_mean_interval(phased(record, nees)["anees_by_phase"][:, h.place])
+            assert h.mean.value == pytest.approx(expected.value)
+            if 1 / CHOSEN <= h.mean.value <= CHOSEN:
+                assert h.p == 1.0
+
+
+def test_where_all_instants_are_of_one_phase_there_is_none(record):
+    alone = phased(record, (1, 1, 4), (0, 0, 50))
+    assert not [h for h in family(alone, np.ones(30, bool), 0.95) if h.kind is Kind.NEES_PHASE]
 
 
 def test_a_column_without_values_is_no_hypothesis(record):

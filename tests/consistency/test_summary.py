@@ -11,6 +11,7 @@ from estbench.consistency.verdict import Verdict
 from estbench.estimators.beliefs import Fault
 from estbench.inference.traces import Traces
 from estbench.scenario.schema import ConsistencySection
+from estbench.spaces.directions import directions
 
 TIMES = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 SECTION = ConsistencySection(burn_in=0.1, divergence_threshold=10.0, divergence_duration=0.2)
@@ -27,6 +28,7 @@ def traces(runs=6, steps=4, n=2, seed=0, spread=1.0, most=2.0):
         truth=mean + error, mean=mean, error=error,
         std=np.ones_like(error) * rng.uniform(1, most, n),
         nees=(error**2).sum(axis=-1), rank=np.full((steps + 1, runs), n),
+        along=(error @ directions(n)) ** 2,
         nis=nis, dof=dof,
         log_likelihood=np.where(dof > 0, rng.standard_normal(dof.shape), 0.0),
         gated=np.minimum(dof, 1), channel_nis=np.stack([each, np.where(dof > 1, each, np.nan)], -1),
@@ -125,7 +127,7 @@ def test_a_record_has_the_declared_fields_dimensions_and_types(keep):
     assert set(record) == set(records.fields(keep) | records.COST)
     sizes = {"run": 6, "time": 5, "batch": 1, "coordinate": 2, "coordinate_": 2, "state": 2,
              "reading": 3, "reading_": 3, "lag": 3, "block": 10, "size": 2,
-             "phase": 3, "channel": 2}  # fmt: skip
+             "direction": 4, "phase": 3, "side": 2, "channel": 2}  # fmt: skip
     for name in record.keys() & records.fields(keep).keys():
         field = records.fields(keep)[name]
         assert record[name].shape == tuple(sizes[d] for d in field.dims), name

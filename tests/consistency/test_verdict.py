@@ -12,18 +12,23 @@ import pytest
 
 from estbench.analysis.calibration import observed
 from estbench.analysis.faults import FAULTS
-from estbench.analysis.trials import experiments, reduced, simulate
+from estbench.analysis.trials import experiments, in_contact, reduced, simulate
 from estbench.consistency.blocks import blocks
 from estbench.consistency.hypotheses import Kind
+from estbench.consistency.phases import described
 from estbench.consistency.reason import reason
 from estbench.consistency.verdict import Verdict, bounds, distinct, is_shown, judge
 from estbench.estimators.beliefs import Fault
+from estbench.scenario.schema import ContactSection
 
 NAMES, CHANNELS, BLOCKS = ("a", "b"), ("position", "speed"), blocks(np.linspace(0, 5, 51))
 
 
+PHASES = described(ContactSection())
+
+
 def said(judgement, tolerance=0.1):
-    return reason(judgement, NAMES, CHANNELS, BLOCKS, tolerance)
+    return reason(judgement, NAMES, CHANNELS, BLOCKS, tolerance, phases=PHASES)
 
 
 @pytest.fixture(scope="module", params=[50, 200])
@@ -31,11 +36,12 @@ def trial(request):
     return simulate(observed(), request.param, 50, seed=11)
 
 
-def test_a_matched_filter_is_consistent(trial):
-    judgement = judge(reduced(trial))
-    assert judgement.verdict is Verdict.CONSISTENT
-    assert judgement.refuted == judgement.open == ()
-    assert said(judgement) == ""
+def test_a_matched_filter_is_consistent_with_phases_of_contact_and_without(trial):
+    for known in (trial, in_contact(trial)):
+        judgement = judge(reduced(known))
+        assert judgement.verdict is Verdict.CONSISTENT
+        assert judgement.refuted == judgement.open == ()
+        assert said(judgement) == ""
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -62,8 +68,11 @@ def test_a_wrong_process_noise(trial, scale, verdict, words):
 
 
 def test_with_tolerance_0_a_matched_filter_is_refused_in_5_percent():
-    """Of 300 experiments; more than 9.4% have a probability of 1e-3 if 5% are expected."""
-    record = reduced(simulate(observed(), 300 * 20, 20, seed=21))
+    """Of 300 experiments; more than 9.4% have a probability of 1e-3 if 5% are expected.
+
+    The phases of contact, which the true state decides, are among the hypotheses.
+    """
+    record = reduced(in_contact(simulate(observed(), 300 * 20, 20, seed=21)))
     verdicts = [judge(part, tolerance=0.0).verdict for part in experiments(record, 20)]
     refused = np.mean([v is not Verdict.UNDECIDED for v in verdicts])
     assert refused <= 0.094
@@ -108,6 +117,19 @@ def test_what_is_wrong_beside_a_few_lost_runs_is_the_verdict():
     judgement = judge(reduced(replace(trial, lost=np.arange(100) < 2)))
     assert judgement.verdict is Verdict.OVERCONFIDENT
     assert said(judgement).endswith("2 of 100 runs diverged (2.0%)")
+
+
+def test_a_rare_phase_need_not_be_shown():
+    """A phase that a third of the runs have is tested, and leaves nothing open."""
+    record = reduced(in_contact(simulate(observed(), 60, 50, seed=11)))
+    wide = np.where(np.arange(60) % 10, 0.1, 8.0)
+    for rare in (True, False):
+        nees = record["anees_by_phase"].copy()
+        nees[:, 1] = np.where(np.arange(60) < 20, wide, np.nan) if rare else wide
+        judgement = judge({**record, "anees_by_phase": nees})
+        left = [h for h in judgement.open if h.kind is Kind.NEES_PHASE]
+        assert [h.place for h in left] == ([] if rare else [1])
+    assert "in stance" in said(judgement)
 
 
 def test_copies_say_nothing_new():
