@@ -8,10 +8,9 @@ well, those that change it most, up to `MOST` times the dimension of the state.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
 
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import solve_lower, solve_lower_transposed
+from estbench.spaces.linalg import solve_lower, solve_lower_transposed, solve_one_lower
 
 MOST = 4
 """Combinations kept for readings on their way, in dimensions of the state: with more a step would
@@ -30,18 +29,16 @@ def best(
         V: mean change of the state.
         later: mean changes of readings on their way; the last columns are 0 where they lack.
     """
-    # LAPACK by its own names: at this size SciPy's functions take ten times as long to check.
     scale, n = 1.0 / np.sqrt(np.diag(W)), len(V)
-    L = np.linalg.cholesky(W * np.outer(scale, scale))
-    basis, T = np.linalg.qr(
-        dtrtrs(L, (V * scale).T, lower=1)[0], "complete" if later else "reduced"
-    )
+    L = np.asarray(np.linalg.cholesky(W * np.outer(scale, scale)), np.float64)
+    basis, T = np.linalg.qr(solve_one_lower(L, (V * scale).T), "complete" if later else "reduced")
     if later:
-        rest = dtrtrs(L, (_padded(later, len(W)) * scale).T, lower=1)[0]
+        rest = solve_one_lower(L, (_padded(later, len(W)) * scale).T)
         basis = _with_more(basis, rest, n)
     factor = np.zeros((n, basis.shape[1]))
     factor[:, :n] = T[:n].T
-    return scale[:, None] * dtrtrs(L, basis, lower=1, trans=1)[0], factor
+    back = np.asarray(np.linalg.solve(L.T, basis), np.float64)  # upper triangular: no pivots
+    return scale[:, None] * back, factor
 
 
 def best_of_each(

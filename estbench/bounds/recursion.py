@@ -31,11 +31,10 @@ from collections.abc import Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
 
 from estbench.bounds.combination import best, best_of_each
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.linalg import surely_finite
+from estbench.spaces.linalg import solve_one_lower, surely_finite
 from estbench.spaces.semidefinite import psd_root
 
 Key = Hashable
@@ -252,8 +251,8 @@ def _steering(mean: Float[Array, "n k"], G: Float[Array, "... n _"]) -> Float[Ar
     size = np.abs(np.diag(root))
     if not size.size or size.min() <= REGULAR * size.max():
         return G.T @ np.linalg.pinv(root.T @ root, rcond=REGULAR**2, hermitian=True)
-    half, _ = dtrtrs(root, G, trans=1)
-    return dtrtrs(root, half)[0].T
+    half = solve_one_lower(root.T, G)
+    return np.asarray(np.linalg.solve(root, half).T, np.float64)  # root is upper triangular
 
 
 def _regular_inverse(G: Float[Array, "... n k"]) -> Float[Array, "n n"] | None:

@@ -83,6 +83,8 @@ def sweep(
         raise StudyError("no key is varied; name one with --over KEY=SPEC")
     resolved = resolve(scenario, estimator, runs, seed, duration, overrides or ())
     study = sweeping.design(resolved, over, sample, points)
+    if plot is not None:
+        sweeps.check(study, what or sweeps.DEFAULT)
     continued = resume or shard is not None
     folder = out if out is not None or continued else store.default_folder(resolved.name)
     total = len(study.variants) * resolved.simulation.runs

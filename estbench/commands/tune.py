@@ -35,21 +35,27 @@ def tune(
     ] = None,
     objective: Annotated[
         Literal["likelihood", "mse", "consistent-mse"],
-        typer.Option(help="of the readings; squared error; the same with NEES/n about 1"),
+        typer.Option(help="likelihood of the readings; squared error; this with NEES/n near 1"),
     ] = "likelihood",
     coordinate: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME[=WEIGHT]", help="of a squared error; repeatable; default all"),
+        typer.Option(
+            metavar="NAME[=WEIGHT]", help="whose squared error counts; repeatable; default all"
+        ),
     ] = None,
     prior: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=CENTRE:SPREAD", help="from a datasheet, say; repeatable"),
+        typer.Option(
+            metavar="KEY=CENTRE:SPREAD", help="median and factor known beforehand; repeatable"
+        ),
     ] = None,
     method: Annotated[
         Literal["auto", "quasi-newton", "nelder-mead", "evolution", "optuna"],
         typer.Option(help="of the search; auto fits it to what is free"),
     ] = "auto",
-    iterations: Annotated[int, typer.Option(min=1, help="at most")] = 60,
+    iterations: Annotated[
+        int, typer.Option(min=1, help="most iterations, or candidates of nelder-mead and optuna")
+    ] = 60,
     runs: Annotated[int | None, typer.Option(help="count of tuning runs")] = None,
     held_out: Annotated[
         int | None, typer.Option(min=0, help="runs that prove the result; default as many")
@@ -58,10 +64,10 @@ def tune(
     duration: Duration = None,
     overrides: Overrides = None,
     out: Annotated[
-        Path | None, typer.Option(help="folder of tuned.toml; default results/SCENARIO-TIME")
+        Path | None, typer.Option(help="folder of tuned.toml; default results/SCENARIO-tuned-TIME")
     ] = None,
     resume: Annotated[bool, typer.Option(help="go on with --out")] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="threads")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="count of threads")] = None,
     plot: Annotated[
         Path | None, typer.Option(help="draw profiles and trace into this .png, .pdf or .svg")
     ] = None,

@@ -119,7 +119,7 @@ def parse(text: str) -> Free:
     key, equals, spec = text.partition("=")
     if not equals:
         return Free(key.strip())
-    if ":" not in spec:
+    if ":" not in spec or "," in spec:
         _, values = axes.parse(text)
         assert isinstance(values, tuple)
         if len(values) < 2:

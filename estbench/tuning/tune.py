@@ -11,6 +11,7 @@ from estbench.experiment.setup import build
 from estbench.scenario.load import resolve
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
+from estbench.study import keys
 from estbench.tuning import freedom, heldout, search
 from estbench.tuning.evaluation import Evaluation, Simulated
 from estbench.tuning.memory import Memory
@@ -22,7 +23,7 @@ from estbench.tuning.uncertainty import Profile, Uncertainty, profiles, uncertai
 
 EVALUATIONS, SCENARIO, RESULT = "evaluations", "tuned.toml", "tuned.json"
 START = "start.toml"
-"""The scenario before the tuning, in the folder of its results."""
+"""The scenario before the tuning and the free keys, in the folder of its results."""
 Method = Literal["auto", "quasi-newton", "nelder-mead", "evolution", "optuna"]
 FreeSpec = str | Free
 
@@ -101,7 +102,12 @@ def tune(
             f"{len(parameters)} free parameters need at least {len(parameters) + 1} runs, got "
             f"{count}; raise --runs"
         )
-    folder = _folder(out, resume, resolved)
+    if objective == "likelihood" and resolved.control.observe == "estimate":
+        raise StudyError(
+            "the controller sees the estimate, so that each candidate has readings of its own, "
+            "whose likelihoods do not compare; use --objective mse, or control.observe=reference"
+        )
+    folder = _folder(out, resume, resolved, [keys.show(p.names) for p in parameters])
     source = Simulated(prepared, label, [p.names for p in parameters], range(count), workers)
     memory = Memory(source, None if folder is None else folder / EVALUATIONS)
     note = progress or (lambda candidates, loss: None)
@@ -234,7 +240,9 @@ def _asked(call: Callable[[], Evaluation]) -> Evaluation:
         raise Interrupted("interrupted before the first candidate: there is no result") from None
 
 
-def _folder(out: str | Path | None, resume: bool, scenario: Scenario) -> Path | None:
+def _folder(
+    out: str | Path | None, resume: bool, scenario: Scenario, free: Sequence[str]
+) -> Path | None:
     """The folder of the results, made or found.
 
     Raises:
@@ -244,7 +252,7 @@ def _folder(out: str | Path | None, resume: bool, scenario: Scenario) -> Path | 
         if resume:
             raise StoreError("resume needs the folder that it fills; name it with --out")
         return None
-    folder, toml = Path(out), scenario.to_toml()
+    folder, toml = Path(out), f"# free: {', '.join(free)}\n\n{scenario.to_toml()}"
     if folder.exists() and not resume:
         raise StoreError(
             f"{folder} exists; choose another --out, remove it, or go on with --resume"
@@ -253,7 +261,9 @@ def _folder(out: str | Path | None, resume: bool, scenario: Scenario) -> Path | 
         folder.mkdir(parents=True, exist_ok=True)
         known = folder / START
         if known.is_file() and known.read_text(encoding="utf-8") != toml:
-            raise StoreError(f"{folder} is of another tuning; choose another --out")
+            raise StoreError(
+                f"{folder} is of another scenario or of other free keys; choose another --out"
+            )
         known.write_text(toml, encoding="utf-8")
     except OSError as error:
         raise StoreError(

@@ -36,6 +36,7 @@ def test_a_sweep_prints_a_table_and_writes_its_store(tmp_path, monkeypatch, caps
         (("--over", "filter.process_noise_scal=1,2"), "unknown key (did you mean"),
         (("--over", "filter.window=lin:2:1:3"), "the range from 2 to 1 is empty"),
         (("--over", "start.inflate=1,2", "--plot", "a.gif"), "--format 'gif' is not known"),
+        (("--over", "start.inflate=1,2", "--plot", "a.png", "--what", "anes"), "is not known"),
         (("--over", "start.inflate=1,2", "--shard", "2"), "use I/N"),
     ],
 )
@@ -45,3 +46,4 @@ def test_bad_input_is_one_line(words, message, monkeypatch, capsys, tmp_path):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

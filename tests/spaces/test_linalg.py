@@ -32,6 +32,8 @@ def test_triangular_solves_are_scipys(runs, n, columns):
     b = np.random.default_rng(1).standard_normal((runs, n, columns))
     for i in range(runs):
         down = solve_triangular(lower[i], b[i], lower=True)
+        one = linalg.solve_one_lower(lower[i], b[i])
+        np.testing.assert_allclose(one, down, rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(linalg.solve_lower(lower, b)[i], down, rtol=1e-10, atol=1e-12)
         up = solve_triangular(lower[i].T, b[i], lower=False)
         out = linalg.solve_lower_transposed(lower, b)[i]

@@ -92,6 +92,19 @@ def test_the_optimum_does_not_depend_on_units(y, found):
     np.testing.assert_allclose(again.uncertainty.std, found.uncertainty.std, rtol=1e-3)
 
 
+def test_the_optimum_does_not_depend_on_the_rate_of_the_filter(y, found):
+    """Three predictions for each measurement: the density of Q and R stay what they are."""
+
+    def often(values):
+        return KF(linear.model((values[0] / 3, values[1])))  # Q of a third of the interval
+
+    between = np.full((3 * len(y), *y.shape[1:]), np.nan)
+    between[2::3] = y
+    again = fit(linear.parameters(), Memory(linear.given(between, often)))
+    np.testing.assert_allclose(again.values, found.values, rtol=1e-6)
+    np.testing.assert_allclose(again.uncertainty.std, found.uncertainty.std, rtol=1e-6)
+
+
 def test_a_prior_moves_the_estimate_by_what_it_knows(y, found):
     (q, r) = with_priors(linear.parameters(), [("q", Prior(0.3, 1.05))])
     both = fit((q, r), Memory(linear.given(y)))

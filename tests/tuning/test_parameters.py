@@ -54,6 +54,8 @@ def test_kinds(prepared):
     assert free(prepared, "filter.channels.gyro.latency").kind == "stepped"
     choice = free(prepared, "type=ekf,iekf")
     assert (choice.kind, choice.start, choice.value(1.0)) == ("choice", "ekf", "iekf")
+    other = free(prepared, "type=ekf,examples.my_filter:MyFilter")
+    assert other.choices == ("ekf", "examples.my_filter:MyFilter")
     pf = build(resolve("pendulum", ["pf"], runs=2))
     (size,) = freedom.parameters(pf, "pf", [parse("size=100:400")])
     assert size.kind == "whole"

@@ -62,8 +62,9 @@ def test_it_is_gone_on_with_without_a_new_candidate(tuned, monkeypatch):
     again = {"overrides": [f"{Q}=100", f"{R}=0.01"], "out": folder, "held_out": 0}
     with pytest.raises(StoreError, match="exists; choose another --out"):
         estbench.tune("pendulum", "ekf", [Q, R], **SHORT, **again)
-    with pytest.raises(StoreError, match="is of another tuning"):
-        estbench.tune("pendulum", "ekf", [Q], **SHORT, out=folder, resume=True)
+    for free, options in (([Q, R], {"out": folder}), ([R, Q], again)):
+        with pytest.raises(StoreError, match="is of another scenario or of other free keys"):
+            estbench.tune("pendulum", "ekf", free, **SHORT, **options, resume=True)
     monkeypatch.setattr(Setup, "simulator", None)  # nothing is simulated
     same = estbench.tune("pendulum", "ekf", [Q, R], **SHORT, **again, resume=True)
     assert same.values == found.values
@@ -128,6 +129,11 @@ def test_bad_input(free, options, message):
     with pytest.raises(estbench.EstbenchError, match=message):
         estbench.tune("pendulum", "ekf", free, **{**SHORT, "held_out": 0, **options})
     assert issubclass(StudyError, estbench.EstbenchError)
+
+
+def test_readings_that_depend_on_the_candidate_have_no_likelihood_to_compare():
+    with pytest.raises(StudyError, match="each candidate has readings of its own"):
+        estbench.tune("cartpole", "ekf", [Q], **SHORT, overrides=["control.observe=estimate"])
 
 
 def test_optuna_chooses(monkeypatch):

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from estbench.consistency.statistics import STATISTICS
 from estbench.errors import EstbenchError, MissingExtraError, did_you_mean
 from estbench.report.figures import palette
 from estbench.report.figures.paper import WIDTHS, write
@@ -45,9 +46,20 @@ def draw(study: Study, found: xr.Dataset, path: Path, what: Sequence[str] = DEFA
     Raises:
         EstbenchError: a statistic is unknown, or there are too many keys to draw.
     """
+    check(study, what)
+    kind = (_lines, _maps, _multiples)[len(study.axes) - 1]
+    write(lambda: kind(study, found, what), path)
+
+
+def check(study: Study, what: Sequence[str]) -> None:
+    """Whether a sweep can be drawn, before it is computed.
+
+    Raises:
+        EstbenchError: a statistic is unknown, or there are too many keys to draw.
+    """
+    known = [s.json_key.replace(".", "_") for s in STATISTICS]
     for name in what:
-        if name not in found or name == "verdict":
-            known = [str(v) for v in found.data_vars if f"{v}_low" in found]
+        if name not in known:
             raise EstbenchError(f"--what '{name}' is not known{did_you_mean(name, known)}")
     if len(study.axes) > 3 or (not study.grid and len(study.axes) > 2):
         most = "three keys of a grid, or two of a design"
@@ -55,8 +67,6 @@ def draw(study: Study, found: xr.Dataset, path: Path, what: Sequence[str] = DEFA
             f"a figure shows at most {most}, got {len(study.axes)}; leave out --plot, and draw a "
             "part of the Dataset"
         )
-    kind = (_lines, _maps, _multiples)[len(study.axes) - 1]
-    write(lambda: kind(study, found, what), path)
 
 
 def _values(found: xr.Dataset, name: str, estimator: str) -> Array:

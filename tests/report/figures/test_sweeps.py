@@ -78,5 +78,5 @@ def test_the_points_of_a_design_are_drawn_as_points():
 
 
 def test_an_unknown_statistic(three, tmp_path):
-    with pytest.raises(EstbenchError, match="known: anees_over_n, anis_over_m"):
+    with pytest.raises(EstbenchError, match="known: anees_over_n, anees_over_n_median"):
         sweeps.draw(*three, tmp_path / "a.png", ["anees"])
