@@ -3,16 +3,19 @@
 Five of Gymnasium's robots, shaken by random torques: encoders and a pose fix, an EKF, a UKF and
 the filters for contact on the same truth and readings. Prints the figures of docs/contact.md:
 NEES/n with its 95% interval, NIS/m, the RMSE of positions and velocities over the UKF's (geometric
-mean over the coordinates), and the cost. `--only` takes variants of their settings too.
+mean over the coordinates), the cost, and the verdict's reason. `--only` takes variants of their
+settings too.
 """
 
 import argparse
 import tomllib
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.contact_conditions import CONDITIONS
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.results import Results
 from estbench.robots import mjcf
@@ -87,20 +90,33 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[0])
     parser.add_argument("--robots", nargs="*", default=ROBOTS, choices=ROBOTS)
     parser.add_argument("--only", nargs="*", default=list(MAIN), choices=list(VARIANTS))
+    parser.add_argument(
+        "--conditions",
+        nargs="*",
+        default=[next(iter(CONDITIONS))],
+        choices=CONDITIONS,
+        help="of the noise, the sensors and the filter's model",
+    )
     parser.add_argument("--phases", action="store_true", help="print NEES/n by phase too")
     parser.add_argument("--set", nargs="*", default=[], help="settings of the scenario, KEY=VALUE")
     args = parser.parse_args()
     head = ["estimator", "verdict", "NEES/n", "NIS/m", "diverged", "positions", "velocities", "µs"]
-    for robot in args.robots:
+    for robot, condition in product(args.robots, args.conditions):
         for seed in args.seeds:
-            data = scenario(robot) | {"estimators": {k: VARIANTS[k] for k in ("ukf", *args.only)}}
+            data = CONDITIONS[condition](scenario(robot))
+            data |= {"estimators": {k: VARIANTS[k] for k in ("ukf", *args.only)}, "bound": False}
             results = experiment.run(
                 Scenario.model_validate(data), runs=args.runs, seed=seed, duration=args.duration,
                 overrides=args.set, keep="summary",
             )  # fmt: skip
-            print(f"\n## {robot}, seed {seed}, {args.runs} runs of {args.duration:g} s")
+            what = f"{robot}, {condition}, seed {seed}"
+            print(f"\n## {what}, {args.runs} runs of {args.duration:g} s")
             print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|")
             print("\n".join(rows(results)), flush=True)
+            print(
+                "".join(f"\n`{s.label}`: {s.reason}" for s in results.summaries if s.reason),
+                flush=True,
+            )
             found = phases.table((s.label, results.phases(s.label)) for s in results.summaries)
             if args.phases and found is not None:
                 print(writers.markdown([found]), flush=True)

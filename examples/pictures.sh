@@ -47,3 +47,6 @@ from PIL import Image  # fewer colours, a quarter of the size
 name = "docs/images/sensors.png"
 Image.open(name).convert("P", palette=Image.Palette.ADAPTIVE, colors=64).save(name, optimize=True)
 END
+
+# That of docs/contact.md.
+python examples/rotated_points.py docs/images/contact.png

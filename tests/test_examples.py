@@ -132,3 +132,15 @@ def test_a_falling_body_is_followed_nearly_as_well_as_it_could_be(monkeypatch, c
         ratio = found[name] / found["bound"]
         assert ratio.min() > 1 - 4 / np.sqrt(2 * how_good.RUNS)
         assert ratio[-1, 0] < 1.3
+
+
+def test_rotated_points_see_the_floor_that_those_on_fixed_axes_miss(monkeypatch, tmp_path):
+    """No fixed point is below the floor, so its mean lacks E max(h, floor) - E h."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    rotated_points = importlib.import_module("rotated_points")
+    fixed, rotated = rotated_points.errors()
+    assert fixed == pytest.approx(-rotated_points.EXACT, rel=1e-12)
+    assert np.abs(rotated).max() < -fixed / 4
+    assert abs(rotated.mean()) < 4 * rotated.std() / np.sqrt(rotated_points.STEPS)
+    rotated_points.main(str(tmp_path / "contact.png"))
+    assert (tmp_path / "contact.png").stat().st_size > 1e4

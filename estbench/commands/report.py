@@ -43,7 +43,10 @@ def report(
 def plot(
     folders: Folders,
     what: Annotated[
-        str, typer.Option(help="nees, nis, error, rmse, coverage, histogram or autocorrelation")
+        str,
+        typer.Option(
+            help="nees, nis, error, rmse, coverage, histogram, autocorrelation or touch-down"
+        ),
     ] = "nees",
     format_: Annotated[str, typer.Option("--format", help="png, pdf or svg")] = "pdf",
     columns: Annotated[int, typer.Option(min=1, max=2, help="width on the page")] = 1,

@@ -1,5 +1,6 @@
 """From the sections of a scenario to objects: robots, noise, initial belief, channels, notices."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from estbench.robots import contacts, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import (
     AddSensor,
+    ContactSection,
     InitialSection,
     ProcessNoiseSection,
     Scenario,
@@ -123,15 +125,24 @@ def watched(scenario: Scenario, model: mujoco.MjModel) -> bool:
     """Whether the phases of contact of a robot are found.
 
     Raises:
-        ScenarioError: they are asked for, and the robot has neither contacts nor joint limits.
+        ScenarioError: `[contact]` asks for them or changes how, and the robot has neither contacts
+            nor joint limits.
     """
-    wanted, touches = scenario.contact.phases, bool(contacts.colliding(model).any())
-    if wanted and not touches and not model.jnt_limited.any():
+    touches = bool(contacts.colliding(model).any())
+    usual = ContactSection()
+    changed = [
+        (name, value)
+        for name, value in scenario.contact
+        if value != getattr(usual, name) and (name, value) != ("phases", False)
+    ]
+    if changed and not touches and not model.jnt_limited.any():
+        name, value = changed[0]
         raise ScenarioError(
-            f"contact.phases is true, but no two geoms of {scenario.model.path} may touch and no "
-            "joint has a limit; leave it out"
+            f"contact.{name} is {json.dumps(value)}, but no two geoms of {scenario.model.path} may "
+            "touch and no joint has a limit; leave it out"
         )
-    return touches if wanted is None else wanted
+    wanted = scenario.contact.phases
+    return touches or bool(changed) if wanted is None else wanted
 
 
 def disturbance(

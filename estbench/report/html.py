@@ -1,7 +1,7 @@
 """`estbench report`: one self-contained HTML file that opens offline."""
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 import estbench
 from estbench.consistency import statistics
 from estbench.consistency.statistics import LAG_ONE
-from estbench.errors import MissingExtraError, StoreError
+from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.inference.lags import LAGS
-from estbench.report import facts, pictures, tables
-from estbench.report.figures import data, traces
+from estbench.report import contact, facts, pictures, tables
+from estbench.report.figures import data, palette, traces
 from estbench.report.figures.drawing import Drawing, Material
 from estbench.report.figures.figures import drawings
 from estbench.report.sources import Entry, load
@@ -95,7 +95,8 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
     template = environment.from_string(text("template.html.j2").read_text("utf-8"))
     first = entries[0].source
     shown_run = _worst(entries[0], chosen)
-    packed = _data(material, figures, chosen, points, shown_run)
+    events = _events(entries, chosen, say)
+    packed = _data(material, figures, chosen, points, shown_run, events)
     sources = list({id(e.source): e.source for e in entries}.values())
     robots = [pictures.picture(source, say) for source in sources]
     steps = max(len(source.times) for source in sources)
@@ -133,6 +134,8 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         runs=chosen,
         shown_run=shown_run,
         thinned=points < steps,
+        events=[(kind, sign) for kind, (_, _, sign) in palette.EVENTS.items()
+                if any(kind in run for of_runs in events for run in of_runs.values())],
         exact=has_traces,
         clips=clips,
         no_clips=problem,
@@ -164,18 +167,30 @@ def _worst(entry: Entry, chosen: Sequence[data.Chosen]) -> str:
     return str(max((c.run for c in chosen), key=lambda run: rank.get(run, -1.0)))
 
 
+def _events(
+    entries: Sequence[Entry], chosen: Sequence[data.Chosen], say: Say
+) -> Sequence[Mapping[int, contact.Events]]:
+    """The events of contact of the chosen runs, of each entry by run."""
+    try:
+        return contact.events_of_entries(entries, [c.run for c in chosen])
+    except EstbenchError as error:
+        say(f"no marks of contact: {error}")
+        return [{} for _ in entries]
+
+
 def _data(
     material: Material,
     figures: dict[str, list[Drawing]],
     chosen: Sequence[data.Chosen],
     points: int,
     shown_run: str,
+    events: Sequence[Mapping[int, contact.Events]],
 ) -> str:
     """The data for the page's script, as JSON."""
     runs: dict[str, dict[str, Any]] = {}
     for choice in chosen:
         runs[str(choice.run)] = {}
-        for entry in material.entries:
+        for entry, of_runs in zip(material.entries, events):
             trace = traces.run_trace(entry, choice.run, points)
             if trace is not None:
                 runs[str(choice.run)][entry.key] = {
@@ -183,6 +198,10 @@ def _data(
                     "error": _pack(trace.error),
                     "std": _pack(trace.std),
                     "nees": _pack(trace.nees[None]),
+                    "events": {
+                        kind: _pack(times[None])
+                        for kind, times in of_runs.get(choice.run, {}).items()
+                    },
                 }
     keys = [entry.key for entry in material.entries]
     packed = {
@@ -201,7 +220,7 @@ def _data(
             d.name: {
                 "traces": d.traces, "layout": d.layout, "height": d.height, "time": d.time,
                 "coordinate": d.coordinate, "trim": d.trim,
-                "bound": any("bind" in (t.get("meta") or {}) for t in d.traces),
+                "bound": any({"bind", "event"} & (t.get("meta") or {}).keys() for t in d.traces),
             }
             for section in figures.values() for d in section
         },

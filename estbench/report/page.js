@@ -32,7 +32,7 @@
 
   // The traces of a drawing for what is chosen, with the chosen run's data in them.
   function chosen(drawing) {
-    const bands = new Set();
+    const bands = new Set(), events = new Set();
     const out = [];
     for (const trace of drawing.traces) {
       const meta = trace.meta || {};
@@ -42,8 +42,16 @@
         if (bands.has(id)) continue;
         bands.add(id);
       }
-      if (!meta.bind) { out.push(trace); continue; }
       const run = (page.runs[state.run] || {})[meta.entry];
+      if (meta.event) {
+        // Entries share the truth, and so the events.
+        if (!run || !run.events[meta.event] || events.has(meta.event)) continue;
+        events.add(meta.event);
+        const x = rows(run.events[meta.event])[0];
+        out.push({ ...trace, x, y: new Float32Array(x.length) });
+        continue;
+      }
+      if (!meta.bind) { out.push(trace); continue; }
       if (!run) continue;
       const y = rows(run[meta.bind.field])[meta.bind.row];
       const scale = meta.bind.scale;
@@ -70,6 +78,7 @@
     let low = Infinity, high = -Infinity;
     if (trim) range = [range[0] + 0.06 * (range[1] - range[0]), range[1]];
     for (const trace of traces) {
+      if (trace.yaxis) continue; // marks of events, on an axis of their own
       const x = values(trace.x), y = values(trace.y);
       for (let i = 0; i < x.length; i++) {
         const v = y[i];

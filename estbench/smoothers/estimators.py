@@ -15,7 +15,7 @@ from estbench.estimators.iplf import IPLF
 from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
 from estbench.estimators.settings import base, in_range, one_of, table, whole
-from estbench.estimators.ukf import SigmaPointFilter
+from estbench.estimators.ukf import PREDICTION, SigmaPointFilter
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
 from estbench.smoothers.backward import gaussian
@@ -97,13 +97,17 @@ class URTS(FilterThenSmooth):
     """
 
     base: str = "sr_ukf"
-    bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf")
+    bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf", "iplf")
 
     def smooth(self, history: FilterHistory) -> list[Gaussian]:
-        """Backwards through the filter's posteriors."""
-        posteriors = self._posteriors(history.beliefs)
-        rule = getattr(self._filter, "rule", None)
-        return urts(self.model, posteriors, history.controls, history.times, rule)
+        """Backwards through the filter's posteriors, with the points of its predictions."""
+        filter, posteriors = self._filter, self._posteriors(history.beliefs)
+        passage = self.model, posteriors, history.controls, history.times
+        if isinstance(filter, SigmaPointFilter | IPLF):
+            beliefs = history.beliefs
+            return urts(*passage, lambda k: filter.rule_at(beliefs[k], PREDICTION), filter.omega)
+        rule = getattr(filter, "rule", None)
+        return urts(*passage, rule and (lambda k: rule))
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def test_unscented_rts_smoother(n, seed):
     points = MerweScaledSigmaPoints(n, 0.5, 2.0, 1.0)
     peer = unscented(model, mean, cov, u, UnscentedKalmanFilter, points)
     means, covs = peer.batch_filter([y[0] for y in ys])
-    ours = smoothed(urts, model, posteriors, u, filter.rule)
+    ours = smoothed(urts, model, posteriors, u, lambda k: filter.rule)
     theirs = peer.rts_smoother(means, covs)
     close(ours[0], theirs[0])
     close(ours[1], theirs[1])

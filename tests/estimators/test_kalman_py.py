@@ -121,7 +121,7 @@ def test_unscented_filter_and_smoother(name, rule, n, seed):
     posteriors, results = check(filter, peers, mean, cov, u, ys, [DT])
 
     def smoother(*passage):
-        return urts(*passage, filter.rule)
+        return urts(*passage, lambda k: filter.rule)
 
     check_smoothed(smoother, model, posteriors, peers, results, u)
 

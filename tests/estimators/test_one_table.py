@@ -7,8 +7,11 @@ import pytest
 
 from benchmarks import contact
 from benchmarks import estimators as benchmark
+from benchmarks.contact_conditions import CONDITIONS
 from estbench.estimators import registry
+from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
+from estbench.scenario.schema import Scenario
 from tests.helpers import OTHER, SAMPLED
 
 SMALL = ["estimators.enkf={size=20}", "estimators.pf={size=500}"]
@@ -49,13 +52,33 @@ def test_the_benchmark_prints_a_row_for_each(monkeypatch, capsys):
 
 def test_the_benchmark_of_contact_prints_a_row_for_each(monkeypatch, capsys):
     """`walker2d` has no example of its own: it is sensed like the hopper."""
-    words = ["--runs", "2", "--duration", "0.02", "--robots", "walker2d", "--only", "rotated_ukf"]
+    words = ["--runs", "2", "--duration", "0.02", "--robots", "walker2d", "--only", "rotated_ukf",
+             "--conditions", "encoders and IMU only"]  # fmt: skip
     monkeypatch.setattr(sys, "argv", ["contact", *words])
     contact.main()
-    title, head, _, *rows = capsys.readouterr().out.strip().splitlines()
-    assert title == "## walker2d, seed 0, 2 runs of 0.02 s"
+    title, head, _, *lines = capsys.readouterr().out.strip().splitlines()
+    rows = [line for line in lines if line.startswith("|")]
+    assert title == "## walker2d, encoders and IMU only, seed 0, 2 runs of 0.02 s"
     assert [row.split("|")[1].strip() for row in rows] == ["`ukf`", "`rotated_ukf`"]
     assert {row.count("|") for row in rows} == {head.count("|")}
     found = contact.scenario("walker2d")["channels"]
     assert {"thigh_left_joint_encoder", "foot_joint_encoder", "rootx_encoder"} <= found.keys()
     assert contact.scenario("humanoid")["channels"].keys() >= {"left_knee_encoder", "attitude"}
+
+
+def test_the_conditions_of_the_benchmark_of_contact_change_what_they_say():
+    plain, *others = (
+        setup.build(Scenario.model_validate(change(contact.scenario("ant"))))
+        for change in CONDITIONS.values()
+    )
+    less, more, noisy, blind, same, skipping, light = others
+    Q = [p.model().process_noise(p.mean[None], np.zeros((1, 8)), 0.0, 0.01) for p in (plain, less)]
+    np.testing.assert_allclose(Q[1], 0.1 * Q[0], rtol=1e-9)
+    R, wide = (p.model().measurement_noise(0.0) for p in (plain, noisy))
+    np.testing.assert_allclose(wide, 9 * R, rtol=1e-9)
+    assert [c.name for c in blind.channels][-3:] == ["ankle_4_encoder", "gyro", "accelerometer"]
+    assert skipping.plant.period == 5 * same.plant.period == 5 * plain.plant.period
+    true, believed = light.plant.model, light.model().mjmodel
+    np.testing.assert_allclose(believed.body_mass, 0.9 * true.body_mass)
+    np.testing.assert_allclose(believed.geom_friction, 0.9 * true.geom_friction)
+    assert more.plant.model.opt.timestep == true.opt.timestep

@@ -1,17 +1,20 @@
+import base64
 import json
+import re
 
 import numpy as np
 import pytest
 
 from estbench.analysis.compare import compare_stores
 from estbench.analysis.formats import render
+from estbench.consistency.intervals import positive_mean_interval
 from estbench.consistency.phases import EVENTS
 from estbench.errors import ScenarioError
 from estbench.experiment import contact, setup
 from estbench.experiment.recording import trajectory
 from estbench.montecarlo import run as experiment
 from estbench.report.contact import events
-from estbench.report.figures import plots
+from estbench.report.figures import around, plots
 from estbench.report.html import write_report
 from estbench.report.sources import load
 from estbench.scenario.schema import Scenario
@@ -94,8 +97,16 @@ def test_a_robot_without_contacts(tmp_path):
     }
     found, _ = seen(data, range(2))
     assert found is None
-    with pytest.raises(ScenarioError, match=r"contact\.phases is true, but no two geoms .* leave"):
-        setup.build(Scenario.model_validate(data | {"contact": {"phases": True}}))
+    for section, said in (
+        ({"phases": True}, "phases is true"),
+        ({"slip": 0.1}, "slip is 0.1"),
+        ({"events": ["limit"]}, r'events is \["limit"\]'),
+    ):
+        with pytest.raises(ScenarioError, match=rf"contact\.{said}, but no two geoms .* leave it"):
+            setup.build(Scenario.model_validate(data | {"contact": section}))
+    path.write_text(SPIN.replace('type="hinge"', 'type="hinge" range="-1 1"'), encoding="utf-8")
+    found, _ = seen(data | {"contact": {"events": ["limit"]}}, range(2))
+    assert found is not None
 
 
 def test_every_table_has_the_phases(ball, tmp_path):
@@ -134,10 +145,62 @@ def test_the_events_of_a_stored_run_are_those_of_its_truth(ball, tmp_path):
         (entry,) = load([tmp_path / observe])
         found, times = seen(data, range(3))
         assert found is not None
-        marks = events(entry, 2)
+        marks = events(entry, [2])[0]
         assert "touch-down" in marks
         for kind, at in marks.items():
             np.testing.assert_array_equal(at, times[found.events[:, 2, EVENTS.index(kind)]])
         assert marks.keys() == found.times(times, 2).keys()
     plots.plot(plots.Paper([entry], run=2), "error", tmp_path / "error.svg")
     assert "touch-down" in (tmp_path / "error.svg").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def stored(ball, tmp_path):
+    """Both estimators on the ball, with traces, in two batches."""
+    out = tmp_path / "stored"
+    data = Scenario.model_validate(ball | {"simulation": {"duration": 0.5, "runs": 5}})
+    experiment.run(data, out=out, keep="diagonal", batch_size=3)
+    return load([out])
+
+
+def test_nees_around_the_touch_downs_is_the_mean_over_the_events_and_then_over_the_runs(
+    stored, tmp_path
+):
+    entry = stored[1]
+    found = around.nees(entry, "touch-down")
+    nees = entry.group["nees"].values / entry.source.n
+    expected = np.full((5, around.BEFORE + around.AFTER + 1), np.nan)
+    for run, marks in enumerate(events(entry, range(5))):
+        at = np.searchsorted(entry.source.times, marks["touch-down"])
+        for k, lag in enumerate(range(-around.BEFORE, around.AFTER + 1)):
+            near = [nees[run, i + lag] for i in at if 0 <= i + lag < nees.shape[1]]
+            expected[run, k] = np.mean(near) if near else np.nan
+    np.testing.assert_allclose(found.mean, np.nanmean(expected, axis=0), rtol=1e-12)
+    first = positive_mean_interval(expected[:, 0])
+    np.testing.assert_allclose([found.low[0], found.high[0]], [first.low, first.high], rtol=1e-9)
+    figure = plots._touch_down(plots.Paper(stored))
+    np.testing.assert_array_equal(figure.axes[0].lines[3].get_ydata(), found.mean)
+    plots.plot(plots.Paper(stored), "touch-down", tmp_path / "touch-down.svg")
+
+
+def test_the_report_marks_the_events_of_the_run_that_is_drawn(stored, tmp_path):
+    page = write_report([stored[0].source.folder], tmp_path / "page.html", video=False)
+    text = page.read_text(encoding="utf-8")
+    assert "▼ touch-down" in text
+    assert "■ slip" not in text
+    marked = re.search(r'<script type="application/json" id="page-data">(.*?)</script>', text)
+    assert marked
+    data = json.loads(marked[1])
+    for run, expected in enumerate(events(stored[0], range(5))):
+        for entry in stored:
+            shown = data["runs"][str(run)][entry.key]["events"]
+            assert shown.keys() == expected.keys()
+            for kind, packed in shown.items():
+                times = np.frombuffer(base64.b64decode(packed["bdata"]), "<f4")
+                np.testing.assert_allclose(times, expected[kind], rtol=1e-6)
+    (kinds,) = {
+        tuple(t["meta"]["event"] for t in d["traces"] if "event" in (t.get("meta") or {}))
+        for name, d in data["drawings"].items()
+        if name.startswith("error-") or name == "run-nees"
+    }
+    assert kinds == 2 * EVENTS

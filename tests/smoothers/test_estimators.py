@@ -8,6 +8,7 @@ from estbench.estimators import registry
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.protocol import FilterHistory, Measurement, Smoother
+from estbench.estimators.ukf import PREDICTION, SigmaPointFilter
 from estbench.experiment import setup
 from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
@@ -18,7 +19,8 @@ from estbench.simulation.sources import Recorded
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate
 from estbench.smoothers.rts import rts
-from tests.helpers import linear_model, random_cov, simulated
+from tests.estimators.test_enkf import start as prior
+from tests.helpers import linear_model, nonlinear_model, random_cov, simulated
 
 RUNS = 4
 
@@ -44,7 +46,7 @@ def filter_history(estimator, seed=0, steps=6, runs=3):
 @pytest.mark.parametrize(
     ("name", "settings"),
     [("rts", {"base": base}) for base in ("ekf", "iekf", "sr_ekf", "kf", "lkf")]
-    + [("urts", {"base": base}) for base in ("ukf", "sr_ukf", "ckf", "ghkf")]
+    + [("urts", {"base": base}) for base in ("ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf", "iplf")]
     + [("ipls", {"base": base}) for base in ("iplf", "ukf", "ckf", "ghkf", "rotated_ukf")]
     + [("map", {}), ("map", {"base": "ukf", "window": 6.0})],
 )
@@ -149,6 +151,33 @@ def test_a_late_reading_stands_where_it_belongs(latency):
             )
             np.testing.assert_allclose(seen.beliefs[k + 1].cov, belief.cov, rtol=1e-10, atol=1e-12)
     assert late == 30 - round(latency / 0.01)
+
+
+@pytest.mark.parametrize("w0", [0.25, 0.0, -0.3])
+def test_the_gain_after_a_rotated_filter_is_of_the_points_of_its_prediction(w0):
+    """Särkkä (2013), eq. 9.20, with x̂⁻ and P⁻, in which Ω is counted twice, of the filter."""
+    model = nonlinear_model(4)
+    smoother = URTS(model, base="rotated_ukf", settings={"centre_weight": w0})
+    filter = smoother._filter
+    assert isinstance(filter, SigmaPointFilter)
+    mean, cov, u = prior(model, 3)
+    before = smoother.init(mean, cov, np.array([5, 6, 7], np.uint64))
+    ahead = filter.predict(before, u, 0.0, 0.2)
+    after, _ = filter.update(ahead, model.measurement(mean, u, 0.0) + 0.2, u, 0.2)
+    found = smoother.smooth(FilterHistory([before, after], [u], [0.0, 0.2], [[], []]))[0]
+    rule = filter.rule_at(before, PREDICTION)
+    spread = rule.points @ np.linalg.cholesky(cov).mT
+    images = model.transition(mean[:, None] + spread, u, 0.0, 0.2)
+    for i in range(3):
+        cross = sum(
+            w * np.outer(d, image - ahead.mean[i])
+            for w, d, image in zip(rule.cov_weights, spread[i], images[i])
+        )
+        G = cross @ np.linalg.inv(ahead.cov[i])
+        x = mean[i] + G @ (after.mean[i] - ahead.mean[i])
+        P = cov[i] + G @ (after.cov[i] - ahead.cov[i]) @ G.T
+        np.testing.assert_allclose(found.mean[i], x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(found.cov[i], P, rtol=1e-10, atol=1e-10)
 
 
 def test_a_run_that_the_filter_lost_is_lost_at_all_times():

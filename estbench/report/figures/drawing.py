@@ -1,8 +1,9 @@
 """A figure of the page as plain data, and the parts that all figures share.
 
 The `meta` of each trace tells the page when to draw it: `entry` (while that entry is selected;
-always without it or with `always`), `band` (once for all entries with the same band), and `bind`
-(the row of the selected run's data that is its y).
+always without it or with `always`), `band` (once for all entries with the same band), `bind` (the
+row of the selected run's data that is its y), and `event` (the selected run's events of that kind
+are its x).
 """
 
 from collections.abc import Sequence
@@ -107,6 +108,23 @@ def area(x: Any, low: Any, high: Any, fill: str, meta: dict[str, Any]) -> list[g
     ]
 
 
+def event_marks(entries: Sequence[Entry]) -> list[go.Scatter]:
+    """Marks of the selected run's events of contact on the time axis, one for each kind.
+
+    They are those of the first selected entry, whose truth is that of all unless the controller
+    sees the estimate. The page's script sets x and y.
+    """
+    return [
+        go.Scatter(
+            x=[], y=[], yaxis="y2", mode="markers", cliponaxis=False, showlegend=False,
+            hovertemplate=f"{kind}<extra></extra>", meta={"entry": entry.key, "event": kind},
+            marker={"symbol": symbol, "size": 7, "color": palette.GREY},
+        )
+        for entry in entries
+        for kind, (_, symbol, _) in palette.EVENTS.items()
+    ]  # fmt: skip
+
+
 def drawing(
     name: str, title: str, traces: Sequence[Any], layout: dict[str, Any], height: int, **more: Any
 ) -> Drawing:
@@ -120,6 +138,12 @@ def axes(x: str, y: str, **more: Any) -> dict[str, dict[str, Any]]:
     """A layout with titles of the axes; `more` belongs to the y axis."""
     title = {"x": {"text": x, "standoff": 4}, "y": {"text": y, "standoff": 4}}
     return {"xaxis": {"title": title["x"]}, "yaxis": {"title": title["y"]} | more}
+
+
+def with_marks(layout: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """A layout with the axis of `event_marks`, from the time axis at 0 to the top at 1."""
+    marks = {"overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True}
+    return layout | {"yaxis2": marks}
 
 
 def span(curves: Sequence[Array]) -> dict[str, Any]:

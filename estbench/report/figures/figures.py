@@ -15,8 +15,10 @@ from estbench.report.figures.drawing import (
     area,
     axes,
     drawing,
+    event_marks,
     line,
     span,
+    with_marks,
 )
 
 
@@ -97,7 +99,8 @@ def _error(material: Material, i: int) -> Drawing:
         bind = {"field": "error", "row": i, "scale": 1}
         meta = {"entry": entry.key, "bind": bind, "role": "error"}
         traces.append(line(k, [], [], entry.key, meta=meta, line={"width": 1.3}))
-    layout = axes("time (s)", material.units[i], zeroline=True)
+    traces += event_marks(material.entries)
+    layout = with_marks(axes("time (s)", material.units[i], zeroline=True))
     return drawing(
         f"error-{i}", material.names[i], traces, layout, 230, time=True, coordinate=i, trim=True
     )
@@ -114,6 +117,7 @@ def _run_nees(material: Material) -> Drawing:
         bind = {"field": "nees", "row": 0, "scale": 1}
         meta = {"entry": entry.key, "bind": bind, "role": "nees"}
         traces.append(line(k, [], [], entry.key, meta=meta, line={"width": 1.3}))
-    layout = axes("time (s)", "NEES/n of the run", type="log")
+    traces += event_marks(material.entries)
+    layout = with_marks(axes("time (s)", "NEES/n of the run", type="log"))
     title = f"NEES/n of the run, with the {source.level:.0%} band of a single run"
     return drawing("run-nees", title, traces, layout, 230, time=True, trim=True)

@@ -11,6 +11,13 @@ DASHES = ("solid", "7px,3px", "2px,3px", "8px,3px,2px,3px", "14px,4px")
 LINES = ("-", (0, (4, 1.5)), (0, (1.2, 1.5)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)))
 """The same for matplotlib."""
 GREY = "#808080"
+EVENTS = {
+    "touch-down": ("v", "triangle-down", "▼"),
+    "lift-off": ("^", "triangle-up", "▲"),
+    "slip": ("s", "square", "■"),
+    "limit": ("x", "x", "✕"),
+}
+"""Kind of an event of contact -> its mark on a time axis: for matplotlib, for plotly, in text."""
 
 
 def colour(index: int) -> str:

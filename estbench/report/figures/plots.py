@@ -1,7 +1,6 @@
 """`estbench plot`: the report's figures for papers, with matplotlib, one or two columns wide."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,55 +10,20 @@ from scipy import stats
 from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.errors import EstbenchError, MissingExtraError, StoreError, did_you_mean
 from estbench.report import contact
-from estbench.report.figures import data, innovations, palette, traces
+from estbench.report.figures import around, data, innovations, palette, traces
 from estbench.report.figures.data import Steps, thin
-from estbench.report.figures.paper import WIDTHS, check_format, write
+from estbench.report.figures.frame import Paper, event_mark, figure_of, grid, legend, style
+from estbench.report.figures.paper import check_format, write
 from estbench.report.sources import Entry
 
 try:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 except ImportError:
     raise MissingExtraError("matplotlib", "plot") from None
 
 T = TypeVar("T")
-EVENT_MARKS = {"touch-down": "v", "lift-off": "^", "slip": "s", "limit": "x"}
-"""Kind of an event of contact -> its mark on the time axis."""
-_NEED_TRACES = ("error", "histogram")
-
-
-@dataclass(frozen=True, eq=False)
-class Paper:
-    """The content and the width of a figure.
-
-    Attributes:
-        entries: in order.
-        columns: 1 or 2.
-        run: number of the run whose error is drawn; None takes the worst of the first entry.
-        coordinates: names; empty for all.
-    """
-
-    entries: Sequence[Entry]
-    columns: int = 1
-    run: int | None = None
-    coordinates: Sequence[str] = ()
-
-    @property
-    def chosen(self) -> list[int]:
-        """Indices of the coordinates."""
-        names = self.entries[0].source.names
-        for name in self.coordinates:
-            if name not in names:
-                raise EstbenchError(f"no coordinate '{name}'{did_you_mean(name, names)}")
-        return [
-            i for i, name in enumerate(names) if not self.coordinates or name in self.coordinates
-        ]
-
-    def title(self, i: int) -> str:
-        """Name and unit of a coordinate."""
-        source = self.entries[0].source
-        return f"{source.names[i]} ({source.units[i]})"
+_NEED_TRACES = ("error", "histogram", "touch-down")
 
 
 def plot(paper: Paper, what: str, path: Path) -> None:
@@ -84,50 +48,8 @@ def plot(paper: Paper, what: str, path: Path) -> None:
     write(lambda: KINDS[what](paper), path)
 
 
-def _figure(paper: Paper, rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTHS[paper.columns], height * rows + 0.3), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
-    return figure, list(axes.ravel())
-
-
-def _grid(paper: Paper, count: int, height: float = 1.25) -> tuple[Figure, list[Axes]]:
-    """Small axes, one per coordinate."""
-    columns = min(count, 1 if paper.columns == 1 else 3 if count > 4 else 2)
-    rows = -(-count // columns)
-    figure, axes = _figure(paper, rows, columns, height if rows > 1 else 1.7)
-    for extra in axes[count:]:
-        extra.remove()
-    for ax in axes[max(0, count - columns) : count]:
-        ax.set_xlabel("time (s)")
-    return figure, axes[:count]
-
-
-def _style(index: int) -> dict[str, Any]:
-    return {
-        "color": palette.colour(index),
-        "linestyle": palette.LINES[index % len(palette.LINES)],
-    }
-
-
-def _legend(
-    figure: Figure, paper: Paper, ax: Axes, band: str = "", marks: Iterable[str] = ()
-) -> None:
-    """The legend above the figure: entries, the grey band, and kinds of events."""
-    handles: list[Any] = [
-        ax.plot([], [], **_style(k), label=e.key)[0] for k, e in enumerate(paper.entries)
-    ]
-    if band:
-        handles.append(Patch(facecolor="#cccccc", lw=0, label=band))
-    handles += [
-        ax.plot([], [], ls="none", color="#333333", ms=4, marker=EVENT_MARKS[kind], label=kind)[0]
-        for kind in marks
-    ]
-    columns = min(len(handles), 3 if paper.columns == 1 else 6)
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
-
-
 def _over_time(paper: Paper, label: str, steps: Callable[[Entry], Steps]) -> Figure:
-    figure, (ax,) = _figure(paper, 1, 1, 1.9)
+    figure, (ax,) = figure_of(paper, 1, 1, 1.9)
     curves = [steps(entry) for entry in paper.entries]
     drawn: set[bytes] = set()
     for k, curve in enumerate(curves):
@@ -136,11 +58,11 @@ def _over_time(paper: Paper, label: str, steps: Callable[[Entry], Steps]) -> Fig
         if low.tobytes() + high.tobytes() not in drawn:
             drawn.add(low.tobytes() + high.tobytes())
             ax.fill_between(curve.time[keep], low, high, color="#cccccc", lw=0)
-        ax.plot(curve.time[keep], curve.mean[keep], **_style(k))
+        ax.plot(curve.time[keep], curve.mean[keep], **style(k))
     _log(ax, [c.mean for c in curves])
     ax.set(xlabel="time (s)", ylabel=f"mean {label}")
     ax.margins(x=0.01)
-    _legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
+    legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
     return figure
 
 
@@ -160,7 +82,7 @@ def _nis(paper: Paper) -> Figure:
 
 def _rmse(paper: Paper) -> Figure:
     chosen = paper.chosen
-    figure, axes = _grid(paper, len(chosen))
+    figure, axes = grid(paper, len(chosen))
     curves = []
     for entry in paper.entries:
         statistics = traces.statistics(entry)
@@ -173,12 +95,12 @@ def _rmse(paper: Paper) -> Figure:
                 time, curve.low[keep, i], curve.high[keep, i], color=palette.colour(k), alpha=0.2,
                 lw=0,
             )  # fmt: skip
-            ax.plot(time, curve.rmse[keep, i], **_style(k))
+            ax.plot(time, curve.rmse[keep, i], **style(k))
             ax.plot(time, curve.sigma[keep, i], color=palette.colour(k), ls=(0, (1, 1)), lw=0.9)
         _log(ax, [c.rmse[:, i] for c in curves])
         ax.set_ylabel(paper.title(i))
         ax.margins(x=0.01)
-    _legend(figure, paper, axes[0])
+    legend(figure, paper, axes[0])
     return figure
 
 
@@ -190,8 +112,8 @@ def _error(paper: Paper) -> Figure:
     found = [traces.run_trace(e, run, data.POINTS) for e in paper.entries]
     if not any(found):
         raise entry.no_run(run)
-    figure, axes = _grid(paper, len(chosen))
-    marks = contact.events(entry, run) if found[0] is not None else {}
+    figure, axes = grid(paper, len(chosen))
+    marks = contact.events(entry, [run])[0] if found[0] is not None else {}
     for ax, i in zip(axes, chosen):
         settled = 0.0
         for k, trace in enumerate(found):
@@ -202,7 +124,7 @@ def _error(paper: Paper) -> Figure:
                 ax.fill_between(
                     time, -sigmas * std, sigmas * std, color=palette.colour(k), alpha=alpha, lw=0
                 )
-            ax.plot(time, error, **_style(k))
+            ax.plot(time, error, **style(k))
             late = time > time[0] + 0.06 * (time[-1] - time[0])
             with np.errstate(invalid="ignore"):
                 settled = max(settled, float(np.nanmax(np.abs([3 * std[late], error[late]]))))
@@ -210,10 +132,25 @@ def _error(paper: Paper) -> Figure:
         ax.set_ylabel(paper.title(i))
         ax.margins(x=0.01)
         for kind, times in marks.items():
-            ax.plot(times, [0.0] * len(times), transform=ax.get_xaxis_transform(), ls="none",
-                    color="#333333", ms=4, marker=EVENT_MARKS[kind], clip_on=False)  # fmt: skip
-    _legend(figure, paper, axes[0], marks=marks)
+            zeros, above = [0.0] * len(times), ax.get_xaxis_transform()
+            ax.plot(times, zeros, **event_mark(kind), transform=above, clip_on=False)
+    legend(figure, paper, axes[0], marks=marks)
     figure.supxlabel(f"error of run {run} with ±1σ and ±3σ", fontsize=7, color="#555555")
+    return figure
+
+
+def _touch_down(paper: Paper) -> Figure:
+    """NEES/n around the touch-downs, with its interval across runs."""
+    figure, (ax,) = figure_of(paper, 1, 1, 1.9)
+    curves = [around.nees(entry, "touch-down") for entry in paper.entries]
+    ax.axhline(1.0, color="#777777", ls="--", lw=0.9)
+    ax.axvline(0.0, color="#777777", lw=0.6)
+    for k, curve in enumerate(curves):
+        ax.fill_between(curve.lag, curve.low, curve.high, color=palette.colour(k), alpha=0.2, lw=0)
+        ax.plot(curve.lag, curve.mean, marker=".", ms=3, **style(k))
+    _log(ax, [c.mean for c in curves])
+    ax.set(xlabel="instants after a touch-down", ylabel="mean NEES/n")
+    legend(figure, paper, ax)
     return figure
 
 
@@ -227,7 +164,7 @@ def _coverage(paper: Paper) -> Figure:
     stacked = paper.columns == 1
     rows = len(SIGMAS) if stacked else 1
     height = 0.55 + 0.17 * len(chosen)
-    figure, axes = _figure(paper, rows, len(SIGMAS) // rows, height)
+    figure, axes = figure_of(paper, rows, len(SIGMAS) // rows, height)
     place = np.arange(len(chosen))
     for s, (ax, sigmas, expected) in enumerate(zip(axes, SIGMAS, EXPECTED)):
         ax.axvline(expected, color="#777777", ls="--", lw=0.9)
@@ -244,27 +181,27 @@ def _coverage(paper: Paper) -> Figure:
         ax.set_yticks(place, [names[i] for i in chosen] if stacked or s == 0 else [])
         ax.set_ylim(len(chosen) - 0.5, -0.5)
         ax.set_xlabel(f"share within {sigmas}σ ({expected:.4f} expected)")
-    _legend(figure, paper, axes[0])
+    legend(figure, paper, axes[0])
     return figure
 
 
 def _histogram(paper: Paper) -> Figure:
     chosen, found = paper.chosen, _statistics(paper)
-    figure, axes = _grid(paper, len(chosen), 1.15)
+    figure, axes = grid(paper, len(chosen), 1.15)
     x = np.linspace(-5, 5, 201)
     for ax, i in zip(axes, chosen):
         ax.fill_between(x, stats.norm.pdf(x), color="#cccccc", lw=0)
         for k, statistics in enumerate(found):
-            ax.stairs(statistics.errors[i], traces.ERROR_EDGES, **_style(k), lw=0.9)
+            ax.stairs(statistics.errors[i], traces.ERROR_EDGES, **style(k), lw=0.9)
         ax.set_ylabel(paper.entries[0].source.names[i])
         ax.set_xlabel("error / σ" if ax.get_xlabel() else "")
-    _legend(figure, paper, axes[0])
+    legend(figure, paper, axes[0])
     return figure
 
 
 def _autocorrelation(paper: Paper) -> Figure:
     """Autocorrelation of NIS, or of the whitened innovations for stores without traces."""
-    figure, (ax,) = _figure(paper, 1, 1, 1.9)
+    figure, (ax,) = figure_of(paper, 1, 1, 1.9)
     if all(e.source.has_traces for e in paper.entries):
         curves = [_of_nis(statistics) for statistics in _statistics(paper)]
         ax.set(xlabel="lag (instants)", ylabel="autocorrelation of NIS")
@@ -278,8 +215,8 @@ def _autocorrelation(paper: Paper) -> Figure:
     for k, (lags, values, half) in enumerate(curves):
         if k == 0:
             ax.fill_between(lags, -half, half, color="#cccccc", lw=0)
-        ax.plot(lags, values, marker=".", ms=3, **_style(k))
-    _legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
+        ax.plot(lags, values, marker=".", ms=3, **style(k))
+    legend(figure, paper, ax, f"{paper.entries[0].source.level:.0%} band")
     return figure
 
 
@@ -309,4 +246,5 @@ KINDS: dict[str, Callable[[Paper], Figure]] = {
     "coverage": _coverage,
     "histogram": _histogram,
     "autocorrelation": _autocorrelation,
+    "touch-down": _touch_down,
 }

@@ -73,9 +73,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
     source, n = entry.source, entry.source.n
     edges = np.linspace(0.0, float(stats.chi2.ppf(0.9999, n)), NEES_BINS + 1)
     with ThreadPoolExecutor(cpu_count()) as pool:
-        parts = list(
-            pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), _pieces(entry))
-        )
+        parts = list(pool.map(lambda piece: _part(entry, piece[0], piece[1], edges), pieces(entry)))
     errors, inexact, nees, ranks, out, products, pairs, fourth = (
         np.sum([getattr(p, name) for p in parts], axis=0)
         for name in (
@@ -103,7 +101,7 @@ def statistics(entry: Entry) -> TraceStatistics | None:
         )
 
 
-def _pieces(entry: Entry) -> Iterator[tuple[slice, slice]]:
+def pieces(entry: Entry) -> Iterator[tuple[slice, slice]]:
     """Each finished batch as indices in the store and in the record."""
     start = 0
     for where in entry.source.batches:

@@ -102,7 +102,7 @@ def of_entry(entry: Entry, run: int) -> Replay:
     prepared = setup.build(source.scenario)
     estimate, std = group["estimate"].values, group["std"].values
     assert place is not None  # the caller has looked
-    truth = stored_contact.truth(prepared, entry, place)
+    truth = stored_contact.truth(prepared, entry, [place])[:, 0]
     correlated = True
     if "cov" in group:
         cov = group["cov"].values
