@@ -116,7 +116,9 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         """
         if self._closed:
             raise not_running(True)
-        _, info = self.env.reset(seed=seed, options=options)
+        out: Any = self.env.reset(seed=seed, options=options)
+        # Some environments return the observation alone (gym-quadruped).
+        info = out[1] if isinstance(out, tuple) and isinstance(out[-1], dict) else {}
         self._episodes.seed(0, seed)
         self._member.begin()
         self._watch.adapt(0, self._member.changes())
