@@ -1,7 +1,8 @@
 """Calibration and power of the whole verdict: `python -m benchmarks.verdict`.
 
-Whole experiments on linear-Gaussian models: a matched Kalman filter (false alarms), one with a
-wrong Q, and each of the faults of `estbench.analysis.faults` (power). Level 95%.
+Whole experiments on linear-Gaussian models: a matched Kalman filter (false alarms, with phases of
+contact that the true state decides), one with a wrong Q, and each of the faults of
+`estbench.analysis.faults` (power). Level 95%.
 """
 
 import argparse
@@ -10,7 +11,7 @@ from collections import Counter
 
 from estbench.analysis.calibration import observed, vehicle
 from estbench.analysis.faults import FAULTS
-from estbench.analysis.trials import experiments, reduced, simulate
+from estbench.analysis.trials import experiments, in_contact, reduced, simulate
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import wilson
 from estbench.consistency.verdict import Verdict, judge
@@ -44,7 +45,7 @@ def alarms(total: int) -> Table:
     """What a matched filter is called, by runs of an experiment and tolerance."""
     rows = []
     for i, (name, model) in enumerate(MODELS.items()):
-        record = reduced(simulate(model, total, STEPS, seed=100 + i))
+        record = reduced(in_contact(simulate(model, total, STEPS, seed=100 + i)))
         for runs in RUNS:
             for tolerance in (0.0, 0.1):
                 found = verdicts(record, runs, tolerance)
