@@ -19,7 +19,7 @@ def table(results: Results) -> list[str]:
     """Lines of a Markdown table: verdict, NEES/n, RMSE of each coordinate, cost."""
     columns = ["estimator", "verdict", "NEES/n", "diverged"]
     columns += [f"{name} ({unit})" for name, unit in zip(results.names, results.units)]
-    columns += ["µs/run-step"]
+    columns += ["µs/step"]
     lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     for s in results.summaries:
         cells = [f"`{s.label}`", str(s.verdict), quantity(s.anees), f"{s.diverged:.0%}"]

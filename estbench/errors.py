@@ -14,6 +14,10 @@ from pathlib import Path
 _OTHERS = sys.stdlib_module_names | {"estbench", "numpy", "scipy", "mujoco"}
 
 
+TRUST = "ESTBENCH_TRUST"
+"""The environment variable that allows code of others (`scenario.code`); `--trust` sets it."""
+
+
 class EstbenchError(Exception):
     """Base of all errors raised by estbench."""
 

@@ -110,6 +110,9 @@ def follow(
     model = model if isinstance(model, Model) else None
     mean, cov = checked_prior(mean, cov, None if model is None else model.space)
     y = real("y is", y, "(step, run, ny)")
+    for name, given in (("y", y), ("u", u)):
+        if given is not None and not np.ndim(given):
+            raise DimensionError(f"{name} is {given!r}; expected an array (step, run, ...)")
     ny, nu = (np.shape(y)[-1], np.shape(u)[-1] if u is not None else 0)
     if model is not None:
         ny, nu = model.output().nx, model.nu

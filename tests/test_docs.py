@@ -1,7 +1,8 @@
 """Every block of the documentation runs.
 
-```python blocks of one page run in order, in one namespace. In ```console and ```bash blocks the
-`estbench ...` commands run, `estbench run` cut short. A ```toml block is a scenario or part of one.
+```python blocks of one page run in order, in one namespace, or each by itself (`ALONE`).
+In ```console and ```bash blocks the `estbench ...` commands run, `estbench run` cut short.
+A ```toml block is a scenario or part of one.
 A block after a line that ends in "`FILE`:" is that file, there for the page's commands.
 A block preceded by `<!-- no-test -->` is skipped.
 """
@@ -25,6 +26,8 @@ from estbench.scenario.schema import Scenario
 
 ROOT = Path(__file__).parents[1]
 PAGES = [p for p in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if p.is_file()]
+ALONE = ("estimators.md",)
+"""Pages of which each block runs by itself."""
 FENCE = re.compile(
     r"^(?P<skip><!-- no-test -->\s*\n)?(?P<indent> *)```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^ *```",
     re.MULTILINE | re.DOTALL,
@@ -85,6 +88,8 @@ def test_python_blocks(page, tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(tmp_path)
     namespace = {"__name__": "__docs__"}
     for line, text in blocks(page, "python"):
+        if page.name in ALONE:
+            namespace = {"__name__": "__docs__"}
         exec(compile("\n" * line + text, str(page), "exec"), namespace)
 
 

@@ -1,7 +1,5 @@
 """The leaderboard as Markdown and as CSV."""
 
-import csv
-import io
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from estbench.consistency.statistics import COST, RMSE, Summary
 from estbench.montecarlo.results import Results
 from estbench.store.template import provenance
 from estbench.tables import writers
-from estbench.tables.cells import cell, estimate, value_of
+from estbench.tables.cells import LOST_NOTE, estimate, of_summary, value_of
 from estbench.tables.columns import Table, tabulate
 from estbench.tables.quantity import bounds
 
@@ -60,13 +58,14 @@ def markdown(boards: Sequence[Board]) -> str:
         "# Leaderboard",
         f"Made by `estbench reproduce --runs {len(first.runs)}`; the same command gives the same "
         f"numbers, except for cost.\n{shown}; {processor()}.",
-        f"RMSE is of the norm of all coordinates of a unit, over time and the runs that did not "
-        f"diverge; ± and brackets are {first.scenario.consistency.level:.0%} intervals across "
-        "runs. Rank: by the geometric mean over the coordinates of RMSE, which `/ first` compares; "
+        "RMSE is of the norm of all coordinates of a unit, over time and the runs that did not "
+        f"diverge ({LOST_NOTE}); ± and brackets are {first.scenario.consistency.level:.0%} "
+        "intervals across runs. Rank: by the geometric mean over the coordinates of RMSE, which "
+        "`/ first` compares; "
         f"= is a tie (Wilcoxon's test, Holm over all pairs, or a difference below {MARGIN:.0%}); "
         "the ranks of all estimators are at once in the ranges named. "
-        f"{statistics.ideals('board')} for a consistent filter. Cost is of one core, in µs per run "
-        "and step; it depends on the machine and on what else it does. What the words mean: "
+        f"{statistics.ideals('board')} for a consistent filter. {COST.heading} is of one core, per "
+        "run and step; it depends on the machine and on what else it does. What the words mean: "
         "[docs/statistics.md](../docs/statistics.md).",
     ]
     parts = ["\n\n".join(head)]
@@ -95,7 +94,7 @@ def _table(board: Board) -> Table:
     for i, rank in enumerate(board.ranks):
         summary = board.results[rank.key]
         cells = (
-            cell(s, value, s.places["board"])
+            of_summary(summary, s, value, s.places["board"])
             for s in _statistics("board")
             for value in _values(board, summary, s)
         )
@@ -146,13 +145,8 @@ def to_csv(boards: Sequence[Board]) -> str:
         "tied", "verdict", "rmse_ratio_to_first", *found,
     ]  # fmt: skip
     versions = list(provenance(boards[0].results.scenario)["versions"])
-    file = io.StringIO()
-    writer = csv.DictWriter(file, [*columns, *versions], restval="", lineterminator="\n")
-    writer.writeheader()
-    for board in boards:
-        for rank in board.ranks:
-            writer.writerow(_row(board, rank, board.results[rank.key]))
-    return file.getvalue()
+    rows = (_row(board, rank, board.results[rank.key]) for board in boards for rank in board.ranks)
+    return writers.comma_separated([*columns, *versions], rows)
 
 
 def _rmse(unit: str) -> str:

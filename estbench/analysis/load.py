@@ -1,7 +1,6 @@
 """The finished runs of a results folder as records; the store may be unfinished."""
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,9 @@ from estbench.errors import StoreError
 from estbench.scenario import load as scenarios
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
-from estbench.store.zarr import COSTS, SCENARIO, STORE, open_results
+from estbench.store.metadata import INTEGRITY, STORE
+from estbench.store.zarr import COSTS, SCENARIO, open_results, read_costs
+from estbench.study.store import STUDY
 
 REQUIRED = {"anees", "anis", "mse", "variance", "fault", "fault_step", "diverged"}
 """Variables that every store has; those of older versions may lack the others."""
@@ -132,6 +133,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
         labels = [str(label) for label in tree.attrs["estimators"]]
         size = int(array(tree, f"{labels[0]}/anees").encoding["chunks"][0])
         names, units = (_read(folder, tree, name) for name in ("coordinate", "unit"))
+        _check_present(folder, tree, [s.start // size for s in _whole(done, size)])
         numbers, times = _read(folder, tree, "run"), _read(folder, tree, "time")
         records = {label: _record(folder, tree, label, done, size) for label in labels}
     except (KeyError, IndexError) as error:
@@ -176,10 +178,13 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
 def load_all(folders: Sequence[str | Path]) -> list[Stored]:
     """Read results folders of one robot, with distinct titles.
 
+    Args:
+        folders: written by `estbench run`; a folder that holds such folders stands for them.
+
     Raises:
         StoreError: a folder cannot be read or is named twice, or their states differ.
     """
-    paths = [Path(folder) for folder in folders]
+    paths = [path for folder in folders for path in _stores_in(Path(folder))]
     stores = [load(path, title) for path, title in zip(paths, _titles(paths))]
     first = stores[0]
     for other in stores[1:]:
@@ -189,6 +194,15 @@ def load_all(folders: Sequence[str | Path]) -> list[Stored]:
                 f"{_shown(first.names)}; read stores of one robot together"
             )
     return stores
+
+
+def _stores_in(folder: Path) -> list[Path]:
+    """The folder itself, or the results folders in it where it holds no store of its own."""
+    if (folder / STORE).is_dir() or not folder.is_dir():
+        return [folder]
+    inside = [path.parent for path in sorted(folder.glob(f"*/{STORE}"))]
+    # The store of a sweep has no estimators to compare.
+    return [path for path in inside if not (path / STUDY).is_file()] or [folder]
 
 
 def _titles(folders: Sequence[Path]) -> list[str]:
@@ -225,17 +239,34 @@ def _record(
     return record
 
 
+def _check_present(folder: Path, tree: xr.DataTree, batches: Iterable[int]) -> None:
+    """Refuse a store without a chunk of a finished batch, which would be read as NaN or 0."""
+    if INTEGRITY not in tree.attrs:  # an earlier version wrote no chunk that is all 0
+        return
+    for group, node in tree.children.items():
+        for name, variable in node.data_vars.items():
+            within = ["0"] * (variable.ndim - 1)  # in every other dimension it is one chunk
+            for batch in batches:
+                chunk = folder.joinpath(STORE, group, str(name), "c", str(batch), *within)
+                if not chunk.is_file():
+                    raise StoreError(f"{chunk} is missing; --resume computes it again")
+
+
 def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], size: int) -> Array:
     """Core time of each finished run `(run,)`, s, the mean of its batch; NaN if not known."""
     if "cpu_time" in tree[label]:
         return _read(folder, tree, f"{label}/cpu_time")[done]
     cost = np.full(len(done), np.nan)
     for where in _whole(done, size):
-        file = folder / COSTS / f"{where.start // size}.json"
+        batch = where.start // size
         try:
-            total = float(json.loads(file.read_text(encoding="utf-8"))[label])
-        except (OSError, ValueError, KeyError, TypeError):
+            total = read_costs(folder, batch)[label]
+        except FileNotFoundError:
             continue
+        except (OSError, ValueError, KeyError, TypeError):
+            raise StoreError(
+                f"{folder / COSTS / f'{batch}.json'} is damaged; --resume computes its batch again"
+            ) from None
         cost[where] = total / (where.stop - where.start)
     return cost[done]
 

@@ -1,7 +1,5 @@
 """All numbers of a comparison: nested for JSON, one per row for CSV."""
 
-import csv
-import io
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
@@ -16,7 +14,7 @@ from estbench.consistency.coverage import SIGMAS, Coverage
 from estbench.consistency.declaration import Statistic
 from estbench.consistency.phases import SHOWN
 from estbench.consistency.statistics import ANEES, ANEES_MEDIAN, RMSE
-from estbench.tables import phases
+from estbench.tables import phases, writers
 from estbench.tables.cells import per_coordinate, plain, value_of
 
 
@@ -127,16 +125,13 @@ COLUMNS: tuple[str, ...] = (
 
 def to_csv(comparison: Comparison) -> str:
     """One number per row, with its interval; an empty cell where there is none."""
-    file = io.StringIO()
-    writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-    writer.writeheader()
+    rows = []
     for contest in comparison.contests:
         scenario = contest.stores[0].scenario
         common = {"scenario": scenario.name, "seed": scenario.simulation.seed}
         for row in (*_estimator_rows(contest), *_pair_rows(contest)):
-            values = {k: "" if v is None else v for k, v in row.items()}
-            writer.writerow({**common, **values})
-    return file.getvalue()
+            rows.append(common | {k: "" if v is None else v for k, v in row.items()})
+    return writers.comma_separated(COLUMNS, rows)
 
 
 def _estimator_rows(contest: Contest) -> Iterator[dict[str, Any]]:

@@ -8,7 +8,7 @@ from estbench.analysis.findings import TRIM
 from estbench.consistency import statistics
 from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.consistency.statistics import RMSE, SIGMA
-from estbench.tables.cells import cell, share, value_of
+from estbench.tables.cells import cell, lost_note, marked, share, value_of
 from estbench.tables.columns import Table, tabulate
 from estbench.tables.phases import table as by_phase
 from estbench.tables.quantity import bounds, number, percent, probability, quantity
@@ -88,12 +88,13 @@ def few_runs(runs: int, estimators: int, level: float) -> str:
 
 
 def _ranking(contest: Contest, comparison: Comparison) -> Table:
+    verdicts = {f.key: str(f.summary.verdict) for f in contest.findings}
     return tabulate(
         "Ranking by RMSE",
-        ("rank", "<estimator", "RMSE / first", "in ranks", "lost"),
+        ("rank", "<estimator", "<verdict", "RMSE / first", "in ranks", "lost"),
         tuple(
             (
-                f"{r.place}{'=' if r.tied else ''}", r.key,
+                f"{r.place}{'=' if r.tied else ''}", r.key, verdicts[r.key],
                 "1" if i == 0 else bounds(r.ratio),
                 f"{r.place}–{r.last}" if r.last > r.place else f"{r.place}", share(r.lost),
             )
@@ -139,14 +140,16 @@ def _accuracy(contest: Contest) -> Table:
         ("<estimator", "unit", "mean", "trimmed mean", "median", SIGMA.heading),
         tuple(
             (
-                f.key if i == 0 else "", a.unit, quantity(a.mean), quantity(a.trimmed),
+                f.key if i == 0 else "", a.unit, marked(quantity(a.mean), f.summary),
+                quantity(a.trimmed),
                 quantity(a.median), number(a.sigma),
             )
             for f in contest.findings
             for i, a in enumerate(f.accuracy)
         ),
         "Of the norm of all coordinates of a unit. The mean is over runs that did not diverge; "
-        f"the mean without {TRIM:.0%} at each end and the median are over all runs.",
+        f"the mean without {TRIM:.0%} at each end and the median are over all runs."
+        + "".join(f" {note}." for note in lost_note(f.summary for f in contest.findings)),
     )  # fmt: skip
 
 
@@ -191,8 +194,25 @@ def _innovations(contest: Contest) -> Table:
         ),
         rows,
         f"Ljung-Box: {1 - level:.0%} of the runs are expected. NCI: 0 is credible, in brackets "
-        "what this many runs give at best; inclination: above 0 optimistic.",
+        "what this many runs give at best; inclination: above 0 optimistic." + _no_nci(contest),
     )  # fmt: skip
+
+
+def _no_nci(contest: Contest) -> str:
+    """Why estimators have no NCI; empty where all have one."""
+    by_reason: dict[str, list[str]] = {}
+    for f in contest.findings:
+        if f.nci is not None and np.isfinite(f.nci):
+            continue
+        good, n = int((~f.record["diverged"].astype(bool)).sum()), f.stored.n
+        if not f.stored.has_traces:
+            reason = "the errors of each run are not stored (`estbench run --keep diagonal`)"
+        elif good <= n:
+            reason = f"it needs more than {n} runs that did not diverge, and there are {good}"
+        else:
+            reason = "the errors of the runs have no invertible covariance"
+        by_reason.setdefault(reason, []).append(f.key)
+    return "".join(f"\nNCI of {', '.join(k)} is –: {why}." for why, k in by_reason.items())
 
 
 def _needed(contest: Contest, precision: float) -> Table:

@@ -33,7 +33,7 @@ def _first_line(target: str) -> str:
     module, _, name = target.partition(":")
     try:
         doc = getattr(importlib.import_module(module), name).__doc__ or ""
-    except Exception as error:  # a plug-in that fails must not stop the list
+    except (Exception, SystemExit) as error:  # a plug-in that fails must not stop the list
         return f"cannot be imported: {user_error_location(error)}"
     return doc.strip().splitlines()[0] if doc.strip() else ""
 

@@ -6,14 +6,15 @@ Each command imports what it needs when it runs: `--help` answers at once.
 import io
 import os
 import sys
-from typing import Annotated, cast
+from pathlib import Path
+from typing import Annotated, Any, cast
 
 import typer
 
 from estbench import __version__
 from estbench.commands import check, compare, control, explain, report, run, sensors, sweep, tune
 from estbench.commands.shared import say
-from estbench.errors import EstbenchError, Interrupted
+from estbench.errors import TRUST, EstbenchError, Interrupted
 
 app = typer.Typer(
     help="Which filter, with which sensors, on this robot, and can I trust its covariance?",
@@ -49,12 +50,44 @@ for command in (run, check, sensors, control, report, compare, sweep, tune, expl
     command.register(app)
 
 
+def _trust(wanted: bool) -> None:
+    """Set the environment variable, which the workers see too."""
+    if wanted:
+        os.environ[TRUST] = "1"
+
+
+def _common(
+    trust: Annotated[
+        bool,
+        typer.Option(
+            "--trust",
+            callback=_trust,
+            expose_value=False,
+            help="run the code that a scenario of somebody else names",
+        ),
+    ] = False,
+) -> None:
+    """The option that every command has."""  # fmt: skip
+
+
+def _built() -> Any:
+    """The application, each command with the options of `_common`."""
+    template = typer.Typer(add_completion=False)
+    template.command()(_common)
+    shared = typer.main.get_command(template).params
+    group: Any = typer.main.get_command(app)
+    for command in group.commands.values():
+        command.params += [p for p in shared if p.name == "trust"]
+    return group
+
+
 def main() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, never a traceback."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # an ASCII terminal has no σ
+    _check_names()
     try:
-        code = app(prog_name="estbench", standalone_mode=False)
+        code = _built()(prog_name="estbench", standalone_mode=False)
     except EstbenchError as error:
         _complain(str(error))
         sys.exit(130 if isinstance(error, Interrupted) else 2)
@@ -66,7 +99,13 @@ def main() -> None:
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+    except MemoryError as error:
+        _complain(_no_memory(error))
+        sys.exit(2)
     except RuntimeError as error:
+        if "start new thread" in str(error):  # each has a stack of its own
+            _complain(_no_memory(error))
+            sys.exit(2)
         if "MUJOCO_GL" not in str(error):
             raise
         # The import of MuJoCo failed.
@@ -76,6 +115,24 @@ def main() -> None:
     except BrokenPipeError:
         os._exit(0)  # the reader of the output (head, less) has closed the pipe
     sys.exit(code)
+
+
+def _no_memory(error: Exception) -> str:
+    what = f" ({error})" if str(error) else ""
+    return f"no memory{what}; take fewer --runs, --workers or estimators, or raise ulimit -v"
+
+
+def _check_names() -> None:
+    """Refuse names of files that the locale cannot read: MuJoCo and the store need their text."""
+    for name in (str(Path.cwd()), *sys.argv[1:]):
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            shown = os.fsencode(name).decode(errors="replace")
+            _complain(
+                f"the locale cannot read the name {shown!a}; set PYTHONUTF8=1 or LC_ALL=C.UTF-8"
+            )
+            sys.exit(2)
 
 
 def _complain(message: str) -> None:

@@ -16,7 +16,9 @@ def register(app: typer.Typer) -> None:
 
 
 def compare(
-    folders: Annotated[list[Path], typer.Argument(help="results folders of one robot")],
+    folders: Annotated[
+        list[Path], typer.Argument(help="results folders of one robot, or a folder of them")
+    ],
     format_: Annotated[
         str, typer.Option("--format", help="text, markdown, csv, latex or json")
     ] = "text",

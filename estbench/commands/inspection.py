@@ -12,9 +12,12 @@ from estbench.errors import EstbenchError, ScenarioError
 from estbench.experiment import setup
 from estbench.models import observability
 from estbench.robots import mjcf
+from estbench.scenario import code
 from estbench.scenario.reference import seen
 from estbench.scenario.schema import FilterSection, Scenario, TruthSection
 from estbench.sensors.description import ChannelDescription
+from estbench.tables import units
+from estbench.tables.names import visible
 
 STAGES = ("none", "position", "velocity", "acceleration")
 
@@ -100,11 +103,13 @@ def render(resolved: Scenario) -> Group:
         f"process noise: {prepared.disturbance.kind}",
         *([prepared.sight] if prepared.sight else []),
         f"estimators: {', '.join(resolved.estimators)}",
+        *(f"code: {line}" for line in code.listed(resolved.model_dump(exclude_none=True))),
     ]
     warnings = [*prepared.notices, *_warnings(prepared)]
     return Group(
-        Text(head, style="bold"), states, sensors, *(Text(line) for line in lines),
-        *(Text(f"warning: {w}", style="yellow") for w in warnings),
+        Text(visible(head), style="bold"), states, sensors,
+        *(Text(visible(line)) for line in lines),
+        *(Text(visible(f"warning: {w}"), style="yellow") for w in warnings),
     )  # fmt: skip
 
 
@@ -114,11 +119,13 @@ def _density(prepared: setup.Setup) -> list[str]:
     out = [""] * space.n
     diagonal = np.diag(noise.density)
     if noise.kind == "additive":
-        return [f"{q:.3g} ({unit})²/s" if q else "" for q, unit in zip(diagonal, space.units)]
+        return [
+            f"{q:.3g} {units.density(unit)}" if q else "" for q, unit in zip(diagonal, space.units)
+        ]
     if noise.kind == "force":
         for i, q in enumerate(diagonal):
             unit = "N" if space.units[i] == "m" else "N m"
-            out[nv + i] = f"{q:.3g} ({unit})² s" if q else ""
+            out[nv + i] = f"{q:.3g} {units.impulse_density(unit)}" if q else ""
     return out
 
 

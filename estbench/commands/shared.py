@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estbench.errors import ExecutorError
+from estbench.tables.names import visible
 
 Scenario = Annotated[
     str, typer.Argument(help="bundled name, scenario .toml, MJCF .xml, or a results folder")
@@ -42,8 +43,8 @@ def console() -> Console:
 
 
 def say(line: str) -> None:
-    """Print one line on standard error at once."""
-    print(line, file=sys.stderr, flush=True)
+    """Print one line on standard error at once; control characters in names become escapes."""
+    print(visible(line), file=sys.stderr, flush=True)
 
 
 def shares(text: str | None) -> tuple[int, int] | None:

@@ -20,6 +20,7 @@ from estbench.commands.shared import (
     shares,
 )
 from estbench.errors import StudyError
+from estbench.tables.names import visible
 
 
 def register(app: typer.Typer) -> None:
@@ -96,17 +97,17 @@ def sweep(
     shown = console()
     table = sweeping.table(found)
     title = (
-        f"{resolved.name}: {len(study.variants)} variants x {len(found.runs)} runs x "
+        f"{visible(resolved.name)}: {len(study.variants)} variants x {len(found.runs)} runs x "
         f"{found.times[0][-1]:g} s, seed {resolved.simulation.seed}; "
         f"truth simulated for {len(study.groups)} of them"
     )
-    shown.print(title, style="bold")
+    shown.print(title, style="bold", markup=False)
     for notice in found.notices:
-        shown.print(f"note: {notice}", style="dim", markup=False)
+        shown.print(visible(f"note: {notice}"), style="dim", markup=False)
     shown.print(table)
     shown.print(table.note, style="dim")
     for (variant, label), reason in list(found.failures.items())[:5]:
-        shown.print(f"variant {variant}, {label}: {reason}", style="red", markup=False)
+        shown.print(visible(f"variant {variant}, {label}: {reason}"), style="red", markup=False)
     if folder is not None:
         shown.print(f"written to {folder}")
     if plot is not None:

@@ -237,18 +237,16 @@ SKEW = Statistic(
 )  # fmt: skip
 COST = Statistic(
     name="cost",
-    heading="µs/run-step",
+    heading="µs/step",
     key="cost",
     meaning="time of one core for predict and update, per run and step",
     of=lambda s: 1e6 * float(s.record["cpu_time"].mean()) / s.steps,
-    unit="us/run-step",
+    unit="us/step",
     unit_key="us_per_run_step",
     form="number",
-    note="cost: of one core, per run and step",
+    note="µs/step: of one core, per run and step",
     all_runs=True,
     places=dict.fromkeys(EVERYWHERE, "brief"),
-    headings={"board": "cost [µs]"},
-    narrow="µs/step",
 )
 STATISTICS: tuple[Statistic, ...] = (
     ANEES, ANEES_MEDIAN, ANIS, LAG_ONE, LOG_LIKELIHOOD, DIVERGED, EFFICIENCY, RMSE, RMSE_MEDIAN,

@@ -121,7 +121,7 @@ def create(label: str, settings: Mapping[str, Any], model: Model) -> Estimator:
         return cls(model, **arguments)
     except EstbenchError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise EstimatorError(
             f"{label}: {name}(model, {arguments}) raised {user_error_location(error)}"
         ) from None

@@ -56,7 +56,7 @@ class RobustEKF(EKF):
         in_range(self, "gate", 0.0, 1.0, low_open=True)
         in_range(self, "threshold", 0.0, low_open=True)
         in_range(self, "degrees", 0.0, low_open=True)
-        whole(self, "iterations", 1)
+        whole(self, "iterations", 1, 1000)
 
     def update(
         self,

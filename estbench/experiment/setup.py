@@ -19,6 +19,7 @@ from estbench.estimators.of_state import OfState
 from estbench.estimators.protocol import ScheduleCheck
 from estbench.experiment import believed as believing
 from estbench.experiment import build as resolution
+from estbench.experiment import size
 from estbench.experiment.prepared import Setup
 from estbench.experiment.trial import try_estimator
 from estbench.inference import initialization as starting
@@ -52,6 +53,7 @@ def build(scenario: Scenario) -> Setup:
     """
     scenario = reference.settled(scenario)
     spec = mjcf.read(scenario.model.path)
+    size.check_steps(scenario, spec)
     scenario, undeclared = resolution.declared(scenario, spec)
     section, belief = scenario.model, scenario.filter
     spec, truth = resolution.robot(scenario, spec)
@@ -160,6 +162,7 @@ def _with_estimators(setup: Setup) -> Setup:
     setup = replace(setup, believed=believed)
     for label in scenario.estimators:
         estimator = setup.estimator(label)
+        size.check_estimator(setup, label, _inner(estimator))
         _check_lengths(setup, label, estimator)
         prior = setup.prior(label)
         checked_prior(*(a[None] for a in prior), setup.space)
@@ -216,6 +219,13 @@ def _check_window(setup: Setup, label: str) -> None:
             )
 
 
+def _inner(estimator: Any) -> Any:
+    """The estimator of the scenario, without what starts it or takes a part of its state."""
+    while isinstance(estimator, starting.WarmStart | OfState):
+        estimator = estimator.estimator
+    return estimator
+
+
 def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
     """Refuse windows that are longer than the run.
 
@@ -228,16 +238,14 @@ def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
         raise EstimatorError(
             f"{label}: start.window is {start.window:g} s but the run only {end:g} s; shorten it"
         )
-    inner = estimator
-    while isinstance(inner, starting.WarmStart | OfState):
-        inner = inner.estimator
+    inner = _inner(estimator)
     if not isinstance(inner, ScheduleCheck):
         return
     try:
         inner.check_schedule(end, arrivals, frozenset(setup.settings(label)))
     except EstbenchError as error:
         raise EstimatorError(f"{label}: {error}") from None
-    except Exception as error:  # a user's estimator may raise anything
+    except (Exception, SystemExit) as error:  # a user's estimator may raise anything
         raise EstimatorError(
             f"{label}: check_schedule raised {user_error_location(error)}"
         ) from None

@@ -146,6 +146,24 @@ class Answers:
             )
         return mean, cov
 
+    def reasons(self, belief: Any, runs: int) -> UInt[Faults, " run"] | None:
+        """The `Fault` of each run that a belief states; None where it states none.
+
+        Raises:
+            EstimatorError: it is no `Fault` of each run.
+        """
+        given = getattr(belief, "fault", None)
+        if given is None:
+            return None
+        found = np.asarray(given)
+        if found.shape != (runs,) or not np.isin(found, list(Fault)).all():
+            unknown = next((x for x in found.ravel().tolist() if x not in list(Fault)), found.shape)
+            raise EstimatorError(
+                f"{self.name}: the fault of its belief is {unknown}; give one value of `Fault` for "
+                f"each run, {min(Fault):d} to {max(Fault):d}, 0 for none"
+            )
+        return found.astype(np.uint8)
+
     @staticmethod
     def asymmetry(cov: Float[Array, "run n n"]) -> UInt[Faults, " run"] | None:
         """`Fault.ASYMMETRIC` where P differs from Pᵀ beyond rounding; None for nowhere."""

@@ -105,7 +105,7 @@ class LiveFilter:
                 self._begin(rows, mean, cov, keys)
         except EstbenchError:
             raise
-        except Exception as error:  # a user's estimator may raise anything
+        except (Exception, SystemExit) as error:  # a user's estimator may raise anything
             raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
         self.estimate[rows], self.cov[rows], self.failed[rows] = mean[rows], cov[rows], False
         self._size[rows] = 0.0
@@ -123,7 +123,7 @@ class LiveFilter:
                 self._advance(cohort, event, u, arrived)
         except EstbenchError:
             raise
-        except Exception as error:  # a user's estimator may raise anything
+        except (Exception, SystemExit) as error:  # a user's estimator may raise anything
             raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
 
     def settle(self) -> None:

@@ -128,7 +128,7 @@ class Recorder:
                 self._note(index, found > 0, found)
         broken = ~np.isfinite(self._nees[index])
         if broken.any():
-            self._mark(index, broken, x, m, P, getattr(belief, "fault", None))
+            self._mark(index, broken, x, m, P, self._answers.reasons(belief, self._shape[0]))
 
     def _mark(
         self,

@@ -20,7 +20,7 @@ def call(name: str, function: Callable[..., Any], *args: Any) -> Any:
     """
     try:
         return function(*args)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         shapes = " and ".join(str(a.shape) for a in args if isinstance(a, np.ndarray))
         given = f"{len(args)} arguments" + (f", arrays of shapes {shapes}" if shapes else "")
         raise ModelError(

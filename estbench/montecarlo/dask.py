@@ -1,6 +1,8 @@
 """The workers of a dask.distributed cluster as a `concurrent.futures` executor."""
 
 import asyncio
+import logging
+import time
 from concurrent.futures import Executor
 
 from estbench.errors import ExecutorError, MissingExtraError
@@ -25,6 +27,8 @@ def pool(address: str | None) -> Pool:
         from distributed import Client
     except ImportError:
         raise MissingExtraError("dask.distributed", "dask") from None
+    for name in ("distributed", "tornado", "asyncio"):  # what is lost is said here, in one line
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     client = None
     try:
         asyncio.run(_knock(address))
@@ -39,9 +43,18 @@ def pool(address: str | None) -> Pool:
             f"({type(error).__name__}); start one or check --address"
         ) from None
     workers = max(1, sum(client.nthreads().values()))
+    since: list[float] = []
 
     def lost() -> bool:
-        return client.status in ("closing", "closed")
+        """Whether the client is closed, or no worker was there for `TIMEOUT`."""
+        if client.status in ("closing", "closed"):
+            return True
+        try:
+            there = client.status == "running" and client.nthreads()
+        except (OSError, TimeoutError, RuntimeError):
+            there = {}
+        since[:] = [] if there else since[:1] or [time.monotonic()]
+        return bool(since) and time.monotonic() - since[0] > TIMEOUT
 
     def close(executor: Executor) -> None:
         if not lost():

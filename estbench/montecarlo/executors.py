@@ -7,9 +7,9 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 
 from estbench.errors import ExecutorError
+from estbench.experiment.size import free_memory
 from estbench.montecarlo.pool import Pool
 
 KINDS = ("auto", "threads", "processes", "dask")
@@ -50,19 +50,6 @@ def fitting(kind: str, batch: int, cpus: int | None = None, memory: int | None =
     memory = free_memory() if memory is None else memory
     a_worker = 3 * batch + (PROCESS_BYTES if kind == "processes" else 0)
     return cpus if memory is None else max(1, min(cpus, memory // 2 // max(1, a_worker)))
-
-
-def free_memory() -> int | None:
-    """Bytes available without swapping, None where the system does not tell."""
-    found = []
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        found += [1024 * int(x.split()[1]) for x in lines if x.startswith("MemAvailable")]
-    with contextlib.suppress(OSError, ValueError):  # a container's limit, perhaps "max"
-        group = Path("/sys/fs/cgroup")
-        limit, used = (int((group / f"memory.{x}").read_text()) for x in ("max", "current"))
-        found.append(limit - used)
-    return min(found, default=None)
 
 
 def pool(kind: str, workers: int, address: str | None = None) -> Pool:

@@ -19,8 +19,16 @@ from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.tables import phases as phase_table
 from estbench.tables import writers
-from estbench.tables.cells import cell, per_coordinate, plain, value_of
+from estbench.tables.cells import (
+    cell,
+    lost_note,
+    of_summary,
+    per_coordinate,
+    plain,
+    value_of,
+)
 from estbench.tables.columns import Column, Table
+from estbench.tables.names import visible
 
 WIDTH = 100
 NOTE_WIDTH = 90
@@ -86,23 +94,23 @@ class Results:
         simulation = self.scenario.simulation
         done = len(self.runs)
         title = (
-            f"{self.scenario.name}: {done} runs x {self.times[-1]:g} s ({self.length}), "
+            f"{visible(self.scenario.name)}: {done} runs x {self.times[-1]:g} s ({self.length}), "
             f"seed {simulation.seed}"
         )
         if self.interrupted:
             title += f" [interrupted: {done} of {simulation.runs} runs finished]"
         parts: list[Any] = [Text(title, style="bold")]
-        parts += [Text(f"note: {notice}", style="dim") for notice in self.notices]
+        parts += [Text(visible(f"note: {notice}"), style="dim") for notice in self.notices]
         parts += [_verdicts(self.summaries, self.scenario.consistency.level)]
         parts += [
-            Text(f"{s.label}: {s.reason}", style=COLOURS[s.verdict])
+            Text(visible(f"{s.label}: {s.reason}"), style=COLOURS[s.verdict])
             for s in self.summaries
             if s.reason
         ]
         parts += [_accuracy(self.summaries, self.names, self.units)]
         parts += self._by_phase()
-        parts += [Text(line, style="dim") for line in _known(self.summaries, self.names)]
-        parts += [Text(line, style="red") for line in _failures(self.summaries)]
+        parts += [Text(visible(line), style="dim") for line in _known(self.summaries, self.names)]
+        parts += [Text(visible(line), style="red") for line in _failures(self.summaries)]
         lines = (*_late(self.summaries), *_gated(self.summaries))
         parts += [Text(line, style="yellow") for line in lines]
         if self.folder is not None:
@@ -188,23 +196,20 @@ def _verdicts(summaries: tuple[Summary, ...], level: float) -> Group:
 def _accuracy(
     summaries: tuple[Summary, ...], names: tuple[str, ...], units: tuple[str, ...]
 ) -> Group:
-    """Statistics per coordinate: RMSE alone where there are many estimators."""
-    detailed = len(summaries) <= 3
+    """Statistics per coordinate; estimators that do not fit go on in a table below."""
     # First the statistics over the same runs as RMSE, then those over all runs.
     found = sorted(statistics.shown("run", "coordinate", summaries), key=lambda s: s.all_runs)
     groups = []
     for summary in summaries:
         group = []
-        for s in found if detailed else [RMSE]:
-            heading = summary.label if s is RMSE else s.heading
-            if s is RMSE and detailed:
-                heading += f" {s.heading}"
-            cells = tuple(cell(s, x, s.places["run"]) for x in value_of(summary, s))
+        for s in found:
+            heading = f"{summary.label} {s.heading}" if s is RMSE else s.heading
+            cells = tuple(of_summary(summary, s, x, s.places["run"]) for x in value_of(summary, s))
             narrow = heading.replace(" ", "\n") if s is RMSE else s.narrow
             group.append(Column(heading, cells, narrow=narrow))
         groups.append(tuple(group))
     keys = Column("coordinate", names, "left"), Column("unit", units, "left")
-    notes = [s.note for s in found if s.note] if detailed else [RMSE.note]
+    notes = [*(s.note for s in found if s.note), *lost_note(summaries)]
     note = textwrap.fill(f"{'; '.join(notes)}.", NOTE_WIDTH - 15)
     return Group(Table(keys, tuple(groups)), Text(note, style="dim"))
 

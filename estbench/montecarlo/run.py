@@ -108,14 +108,13 @@ def run(
         finally:
             if not done and shard is None:
                 target.discard()
-        if done:
-            target.close()
     again = [i for i in corrupted if i in wanted]
     return _collect(
         prepared, target.batches, done, failed, target, interrupted,
         [
             *(notices if target.keep == level else ()),
             *([mixed] if mixed else ()),
+            *(f"{name} was damaged and has been written again" for name in target.restored),
             *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
         ],
     )  # fmt: skip
@@ -134,9 +133,10 @@ def _check(
 ) -> None:
     """Check the arguments, each by itself and in combination."""
     dispatch.check_shard(shard)
+    if out is not None and not isinstance(out, str | Path):
+        raise StoreError(f"out is {out!r}; use the path of a folder")
     for name, value in (("batch_size", batch_size), ("workers", workers)):
-        if value is not None and value < 1:
-            raise ExecutorError(f"{name} is {value}; use a whole number of at least 1")
+        dispatch.check_count(name, value)
     for name, value, known in (
         ("keep", keep, ("auto", "summary", "diagonal", "full")),
         ("dtype", dtype, ("float64", "float32")),

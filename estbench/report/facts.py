@@ -20,6 +20,7 @@ from estbench.robots import layout, mjcf
 from estbench.scenario.reference import seen
 from estbench.sensors.description import HEADINGS, ChannelDescription, describe
 from estbench.store.versions import known
+from estbench.tables import units
 from estbench.tables.quantity import quantity
 
 DIVERGED_ROWS = 100
@@ -144,16 +145,21 @@ def _noise(prepared: setup.Setup) -> tuple[tuple[str, ...], ...]:
     text = [""] * space.n
     for i, q in enumerate(density):
         if noise.kind == "additive" and q:
-            text[i] = f"{q:.3g} ({space.units[i]})²/s"
+            text[i] = f"{q:.3g} {units.density(space.units[i])}"
         elif noise.kind == "force" and q:
-            text[nv + i] = f"{q:.3g} ({'N' if space.units[i] == 'm' else 'N m'})² s"
+            force = "N" if space.units[i] == "m" else "N m"
+            text[nv + i] = f"{q:.3g} {units.impulse_density(force)}"
     std = np.sqrt(np.diag(prepared.cov))
     rows = [
         (name, unit, f"{s:.3g}", q) for name, unit, s, q in zip(space.names, space.units, std, text)
     ]
     if noise.kind == "actuator":
         names = layout.control_names(prepared.plant.model)
-        rows += [(name, "ctrl", "", f"{q:.3g} (ctrl)² s") for name, q in zip(names, density) if q]
+        rows += [
+            (name, "ctrl", "", f"{q:.3g} {units.impulse_density('ctrl')}")
+            for name, q in zip(names, density)
+            if q
+        ]
     return tuple(rows)
 
 

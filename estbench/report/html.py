@@ -20,6 +20,7 @@ from estbench.report.figures import data, palette, traces
 from estbench.report.figures.drawing import Drawing, Material
 from estbench.report.figures.figures import drawings
 from estbench.report.sources import Entry, load
+from estbench.tables.cells import lost_note
 from estbench.tables.destination import check_file
 
 try:
@@ -117,7 +118,7 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         headings=[s.heading_in("report") for s in shown],
         more_headings=[s.heading for s in each[1:]],
         ideals=statistics.ideals("report"),
-        rmse_notes=[s.note for s in each if s.note],
+        rmse_notes=[*(s.note for s in each if s.note), *lost_note([e.summary for e in entries])],
         lag_one=LAG_ONE.heading,
         phases=tables.by_phase(entries),
         baselines=tables.baselines(entries) if len(entries) > 1 else [],

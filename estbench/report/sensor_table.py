@@ -8,6 +8,7 @@ from rich.text import Text
 from estbench.experiment.prepared import Setup
 from estbench.sensors.description import HEADINGS, ChannelDescription, describe
 from estbench.tables.columns import Column, Table
+from estbench.tables.names import visible
 
 
 def render(setup: Setup) -> Group:
@@ -27,8 +28,8 @@ def render(setup: Setup) -> Group:
     table = Table(columns[:1], (columns[1:],))
     lines = [Text(line) for line in _beliefs(described, section.measurement_noise_scale)]
     lines += [Text(setup.sight)] if setup.sight else []
-    lines += [Text(f"note: {notice}", style="dim") for notice in setup.notices]
-    return Group(Text(setup.scenario.name, style="bold"), table, *lines)
+    lines += [Text(visible(f"note: {notice}"), style="dim") for notice in setup.notices]
+    return Group(Text(visible(setup.scenario.name), style="bold"), table, *lines)
 
 
 def _beliefs(described: Sequence[ChannelDescription], scale: float) -> Iterator[str]:

@@ -9,7 +9,7 @@ from estbench.analysis.comparison import Pair, Paired
 from estbench.consistency import statistics
 from estbench.consistency.declaration import Statistic
 from estbench.consistency.phases import by_phase as phase_statistics
-from estbench.consistency.statistics import LAG_ONE
+from estbench.consistency.statistics import COST, LAG_ONE, Summary
 from estbench.report import facts
 from estbench.report.figures import palette
 from estbench.report.figures.drawing import Material
@@ -19,7 +19,7 @@ from estbench.report.pairs import MARGIN, differences
 from estbench.report.sources import Entry
 from estbench.store.versions import known, mixed
 from estbench.tables import phases
-from estbench.tables.cells import cell, estimate, share, value_of
+from estbench.tables.cells import estimate, of_summary, share, value_of
 from estbench.tables.columns import Table
 from estbench.tables.quantity import bounds, number, percent, probability, quantity
 
@@ -38,8 +38,8 @@ def _share(value: float) -> dict[str, Any]:
     return _cell(value, share(value))
 
 
-def _statistic(s: Statistic, value: Any) -> dict[str, Any]:
-    return _cell(estimate(value), cell(s, value, s.places["report"]))
+def _statistic(s: Statistic, value: Any, summary: Summary) -> dict[str, Any]:
+    return _cell(estimate(value), of_summary(summary, s, value, s.places["report"]))
 
 
 def entry(material: Material, i: int) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def entry(material: Material, i: int) -> dict[str, Any]:
         "sentence": facts.verdict(entry, nees),
         "causes": facts.causes(entry),
         "cells": [
-            *(_statistic(s, value_of(summary, s)) for s in shown),
+            *(_statistic(s, value_of(summary, s), summary) for s in shown),
             _share(nees.outside),
             _share(nis.outside),
         ],
@@ -68,7 +68,7 @@ def rmse(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     rows = []
     for i, (name, unit) in enumerate(zip(source.names, source.units)):
         cells = [
-            _statistic(s, value_of(entry.summary, s)[i])
+            _statistic(s, value_of(entry.summary, s)[i], entry.summary)
             for entry in entries
             for s in statistics.shown("report", "coordinate", [e.summary for e in entries])
         ]
@@ -96,7 +96,7 @@ def baselines(entries: Sequence[Entry]) -> list[dict[str, Any]]:
             ("p, Wilcoxon", "Holm", [_p(d.score.wilcoxon) for d in pairs]),
             ("p, sign test", "Holm", [_p(d.score.sign) for d in pairs]),
             ("runs less / more / same", "", [_counts(d.score.paired) for d in pairs]),
-            ("cost", "ratio", [_cell(d.cost, number(d.cost)) for d in pairs]),
+            (COST.heading, "ratio", [_cell(d.cost, number(d.cost)) for d in pairs]),
             ("NEES/n", "", [_difference(d.nees, b.anees.value, d.p[0], level) for d in pairs]),
         ]
         for i, (name, unit) in enumerate(zip(names, units)):
@@ -155,7 +155,7 @@ def white(material: Material) -> dict[str, Any]:
         names.insert(0, "all channels" if names else "")
     rows = []
     for entry, one, channels in zip(material.entries, material.white, material.channels):
-        cells = [_statistic(LAG_ONE, entry.summary.lag_one)]
+        cells = [_statistic(LAG_ONE, entry.summary.lag_one, entry.summary)]
         for name in names:
             found = one if name in ("", "all channels") else channels.get(name)
             cells += _test(found)

@@ -5,6 +5,7 @@ large, an engine error) is NaN in the result; MuJoCo itself would reset it witho
 """
 
 import math
+import re
 from typing import Any, get_args
 
 import mujoco
@@ -17,7 +18,23 @@ from estbench.robots import flags, given, library
 from estbench.shapes import Array, Float, Int, Mask
 from estbench.spaces.linalg import surely_finite
 
+_NO_MEMORY = re.compile("unknown exception|bad_alloc|allocate", re.IGNORECASE)
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+
+
+def _made(model: mujoco.MjModel, count: int, nthread: int) -> Batch:
+    """A batch of `count` rows.
+
+    Raises:
+        ValueError: the model has a feature that a batch does not support.
+        MemoryError: there is no memory for it; MuJoCo says so in other words.
+    """
+    try:
+        return Batch(model, count, nthread)
+    except RuntimeError as error:
+        if not _NO_MEMORY.search(str(error)):
+            raise
+        raise MemoryError(f"MuJoCo finds none for {count} simulations") from None
 
 
 class BatchBackend:
@@ -42,7 +59,7 @@ class BatchBackend:
         self._varied: dict[tuple[int, str, str], tuple[int | slice, Array]] = {}
         self._settings = library.hold(self)
         try:
-            probe = Batch(model, 1, 1)
+            probe = _made(model, 1, 1)
         except ValueError as error:  # a feature whose memory is not part of the state
             reason = " ".join(str(error).split())
             raise ScenarioError(f"MuJoCo cannot step this model in a batch: {reason}") from None
@@ -73,7 +90,7 @@ class BatchBackend:
         if (count, use) not in self._batches:
             if use not in self._models:
                 self._models[use] = flags.reduced(self.model, use)
-            batch = Batch(self._models[use], count, self.nthread)
+            batch = _made(self._models[use], count, self.nthread)
             if self.model.nmocap:
                 batch.state[:, self._inputs] = self._at_rest
             if use != "step":

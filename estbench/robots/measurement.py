@@ -70,7 +70,7 @@ class Measurand:
         u = np.broadcast_to(u if u.ndim == x.ndim else u[:, None], (*x.shape[:-1], u.shape[-1]))
         try:
             y = np.asarray(self.function(x.copy(), u, t), dtype=np.float64)
-        except Exception as error:  # a user's function may raise anything
+        except (Exception, SystemExit) as error:  # a user's function may raise anything
             raise ScenarioError(
                 f"{self.name} raised for x of shape {x.shape}: {user_error_location(error)}"
             ) from None

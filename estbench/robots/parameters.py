@@ -48,9 +48,8 @@ def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | s
     """
     field, _, name = key.partition(".")
     prefix = field.split("_")[0]
-    fields = [f for f in dir(model) if f.split("_")[0] in _PREFIXES and "_" in f]
-    if field not in fields:
-        raise ScenarioError(f"{where}: no model field '{field}'{did_you_mean(field, fields)}")
+    if hint := unknown_field(field):
+        raise ScenarioError(f"{where}: {hint}")
     if getattr(model, field).dtype.kind != "f" and not SETTINGS.search(field):
         raise ScenarioError(f"{where}: '{field}' is no parameter but structure; change the MJCF")
     kind = _PREFIXES[prefix]
@@ -64,6 +63,12 @@ def parameter(model: mujoco.MjModel, key: str, where: str) -> tuple[str, int | s
     start = int(model.jnt_dofadr[index])
     width = {0: 6, 1: 3}.get(int(model.jnt_type[index]), 1)
     return field, slice(start, start + width)
+
+
+def unknown_field(field: str) -> str:
+    """Words for a field that no MuJoCo model has, with the ones that are meant; else empty."""
+    fields = [f for f in dir(mujoco.MjModel) if f.split("_")[0] in _PREFIXES and "_" in f]
+    return "" if field in fields else f"no model field '{field}'{did_you_mean(field, fields)}"
 
 
 def changed(

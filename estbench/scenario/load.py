@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from estbench.errors import EstimatorError, ScenarioError, did_you_mean
 from estbench.estimators import registry
-from estbench.scenario import reference
+from estbench.scenario import code, reference
 from estbench.scenario.mistakes import explain
 from estbench.scenario.schema import Scenario, SimulationSection, StartSection
 
@@ -38,7 +38,8 @@ def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         overrides: `section.key=value` strings, values in TOML syntax (bare words are strings).
 
     Raises:
-        ScenarioError: there is no such scenario, or it does not validate; all mistakes are listed.
+        ScenarioError: there is no such scenario, or it does not validate, of which all mistakes
+            are listed; or it is of somebody else and names code (see `scenario.code`).
     """
     path = _find(source)
     if path.suffix.lower() == ".xml":
@@ -46,7 +47,11 @@ def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     else:
         data = _read_toml(path)
     _resolve_paths(data, path.parent)
-    return _validate(data, overrides, str(source))
+    own = dict(code.named(data))
+    scenario = _validate(data, overrides, str(source))
+    kept = {k: v for k, v in code.named(scenario.model_dump(exclude_none=True)) if own.get(k) == v}
+    code.check(kept, path)
+    return scenario
 
 
 def parse(toml: str) -> Scenario:
@@ -93,6 +98,10 @@ def resolve(
             estimator that is not run.
         EstimatorError: an estimator is unknown or named twice, or its label is taken.
     """
+    if not (isinstance(overrides, Sequence) and all(isinstance(text, str) for text in overrides)):
+        raise ScenarioError(f"overrides is {overrides!r}; use a list of 'section.key=value'")
+    if not isinstance(scenario, str | Path | Scenario):
+        raise ScenarioError(f"scenario is {scenario!r}; use a name, a path or a Scenario")
     simulation = {"runs": runs, "seed": seed, "duration": duration}
     options = [f"simulation.{k}={v}" for k, v in simulation.items() if v is not None]
     _check_options(options)
@@ -131,6 +140,10 @@ def _check_options(options: Sequence[str]) -> None:
 
 def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Label -> settings of the estimators to run, from the scenario's tables where they exist."""
+    if not isinstance(estimators, str | type | Sequence):
+        raise EstimatorError(
+            f"estimators is {estimators!r}; use a label, a name, a class, or a list of them"
+        )
     several = [estimators] if isinstance(estimators, str | type) else estimators
     chosen: dict[str, dict[str, Any]] = {}
     for name in map(registry.name_of, several):
@@ -260,6 +273,8 @@ def _parsed(override: str) -> tuple[list[str], Any]:
     key, equals, text = override.partition("=")
     if not equals or not key.strip():
         raise ScenarioError(f"--set {override!r} is not of the form section.key=value")
+    if "\n" in override or "\r" in override:
+        raise ScenarioError(f"--set {override!r} has a line break; use one --set for each key")
     try:
         value = tomllib.loads(f"v = {text}")["v"]
     except tomllib.TOMLDecodeError:

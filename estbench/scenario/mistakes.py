@@ -6,9 +6,12 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from estbench.errors import did_you_mean
+from estbench.robots import parameters
 from estbench.scenario.schema import Section
 
 _OTHER = {"string_type", "list_type", "float_type", "int_type", "dict_type"}
+_BY_OBJECT = ("set", "draw")
+"""Tables whose keys are `field.object`, with a dot."""
 _BRANCH = re.compile(r"(float|str|int|list|dict|tuple|function-after|constrained-\w+)\b(\[.*)?")
 
 
@@ -23,12 +26,17 @@ def _relevant(error: ValidationError) -> list[Any]:
     for e in error.errors():
         own = tuple(p for p in e["loc"] if isinstance(p, int) or not _BRANCH.fullmatch(p))
         found.append({**e, "loc": own, "other": e["type"] in _OTHER})
-    # A wrong number also fails as a list, the other branch: only the first error is reported.
+    # A wrong number also fails as a list, the other branch: the first error is reported, and of a
+    # list or a table the error within it.
     relevant = [e["loc"] for e in found if not e["other"]]
+    inner = [e["loc"] for e in found]
     kept: dict[tuple[Any, ...], Any] = {}
     for e in found:
-        if not e["other"] or not any(loc[: len(e["loc"])] == e["loc"] for loc in relevant):
-            kept.setdefault(e["loc"], e)
+        loc, depth = e["loc"], len(e["loc"])
+        same = any(r[:depth] == loc for r in relevant)
+        within = any(len(i) > depth and i[:depth] == loc for i in inner)
+        if not e["other"] or not (same or within):
+            kept.setdefault(loc, e)
     return list(kept.values())
 
 
@@ -36,6 +44,8 @@ def _explain(error: Any, root: type[Section]) -> str:
     """One mistake as `path: message (did you mean ...)`."""
     where = ".".join(str(part) for part in error["loc"]) or "scenario"
     message = error["msg"].removeprefix("Value error, ")
+    if hint := _dotted(error):
+        return hint
     if error["type"] == "extra_forbidden":
         section: Any = root
         for part in error["loc"][:-1]:
@@ -45,6 +55,25 @@ def _explain(error: Any, root: type[Section]) -> str:
     given = error.get("input")
     shown = f", got {given!r}" if isinstance(given, str | int | float | bool) else ""
     return f"{where}: {message}{shown}"
+
+
+def _dotted(error: Any) -> str:
+    """Words for a key `field.object` that was written without quotes; else empty."""
+    path, value = [str(part) for part in error["loc"]], error.get("input")
+    at = next((i for i, part in enumerate(path[:2]) if part in _BY_OBJECT), None)
+    if at is None or len(path) < at + 2:
+        return ""
+    if path[at] == "set":
+        while isinstance(value, dict) and value:
+            name, value = next(iter(value.items()))
+            path.append(str(name))
+    elif error["type"] != "extra_forbidden":
+        return ""
+    if len(path) < at + 3 or "." in path[at + 1]:  # it has its quotes
+        return ""
+    field, key, table = path[at + 1], ".".join(path[at + 1 :]), ".".join(path[: at + 1])
+    wrong = parameters.unknown_field(field)
+    return f'{table}: {wrong + "; " if wrong else ""}quote a key with a dot: {path[at]}."{key}"'
 
 
 def _inside(section: Any, key: Any) -> Any:

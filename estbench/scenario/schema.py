@@ -1,6 +1,7 @@
 """The sections of a scenario file: names, types, defaults and units of all keys.
 
-Unknown keys and wrong types are refused. Quantities per coordinate (`PerName`) are a number, a
+Unknown keys, wrong types (a text or true for a number) and numbers that no robot has are refused:
+the range of a number belongs to its type. Quantities per coordinate (`PerName`) are a number, a
 list, or a table of glob patterns; the last pattern that matches a coordinate applies.
 """
 
@@ -9,11 +10,55 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-PerName = float | list[float] | dict[str, float]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Probability = Annotated[float, Field(ge=0, lt=1)]
-Schedule = Annotated[list[tuple[Positive, Positive]], Field(min_length=1)] | str
+LARGEST = 1e15
+"""Magnitude of a quantity in SI units; its inverse is the least, but for 0. Beyond it the squares,
+which covariances hold, are lost to rounding."""
+LONGEST = 1e9
+"""s, some 30 years."""
+SHORTEST_STEP = 1e-7
+"""s; the physics of a robot needs no shorter timestep."""
+
+
+def _within(largest: float) -> AfterValidator:
+    """A check that a number is 0, or of a magnitude up to the largest and down to its inverse."""
+
+    def check(value: float) -> float:
+        if value and not 1 / largest <= abs(value) <= largest:
+            raise ValueError(f"use 0 or a magnitude from {1 / largest:g} to {largest:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _covariance(value: list[list[float]]) -> list[list[float]]:
+    """Refuse entries beyond the squares of quantities; those off the diagonal may be tiny."""
+    for i, row in enumerate(value):
+        for j, x in enumerate(row):
+            if abs(x) > LARGEST**2 or (i == j and 0 < abs(x) < LARGEST**-2):
+                raise ValueError(
+                    f"entry ({i}, {j}) is {x:g}; use 0 or a magnitude from {LARGEST**-2:g} to "
+                    f"{LARGEST**2:g}"
+                )
+    return value
+
+
+Number = Annotated[float, _within(LARGEST)]
+Positive = Annotated[float, Field(gt=0), _within(LARGEST)]
+NonNegative = Annotated[float, Field(ge=0), _within(LARGEST)]
+Squared = Annotated[float, _within(LARGEST**2)]
+PerName = Number | list[Number] | dict[str, Number]
+PerNameSquared = Squared | list[Squared] | dict[str, Squared]
+"""Of variances and spectral densities."""
+Covariance = Annotated[list[list[float]], AfterValidator(_covariance)]
+Duration = Annotated[float, Field(gt=0, le=LONGEST)]
+Delay = Annotated[float, Field(ge=0, le=LONGEST)]
+Timestep = Annotated[float, Field(gt=0, ge=SHORTEST_STEP, le=LONGEST)]
+Factor = Annotated[float, Field(ge=1, le=LONGEST)]
+Count = Annotated[int, Field(ge=1, le=2**31 - 1)]
+Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Probability = Annotated[float, Field(ge=0, lt=1), _within(LARGEST)]
+Row = Annotated[tuple[Duration, Positive], Field(strict=False)]
+Schedule = Annotated[list[Row], Field(min_length=1)] | str
 """Rows (until s, factor), each up to its time; or `module:function`, a function of t that returns
 one factor, one factor per axis, or the full covariance."""
 
@@ -21,7 +66,7 @@ one factor, one factor per axis, or the full covariance."""
 class Section(BaseModel):
     """A table of the scenario file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class ModelSection(Section):
@@ -31,10 +76,10 @@ class ModelSection(Section):
     keyframe: str | int | None = Field(
         None, description="nominal state and control; default the first keyframe, else qpos0"
     )
-    frame_skip: Annotated[int, Field(ge=1)] = Field(1, description="physics steps per filter step")
-    timestep: Positive | None = Field(None, description="s; default the MJCF's")
+    frame_skip: Count = Field(1, description="physics steps per filter step")
+    timestep: Timestep | None = Field(None, description="s; default the MJCF's")
     integrator: Literal["Euler", "RK4", "implicit", "implicitfast"] | None = None
-    set: dict[str, float | list[float]] = Field(
+    set: dict[str, Number | list[Number]] = Field(
         default_factory=dict, description="overrides 'field.object' = value, e.g. body_mass.pole"
     )
 
@@ -46,14 +91,14 @@ class Draw(Section):
     mass is known and refused.
     """
 
-    relative_std: Annotated[float, Field(ge=0)] = 0.0
-    std: Annotated[float, Field(ge=0)] = 0.0
+    relative_std: NonNegative = 0.0
+    std: NonNegative = 0.0
 
 
 class TruthSection(Section):
     """Parameters in which the simulated robot differs from the MJCF."""
 
-    set: dict[str, float | list[float]] = Field(default_factory=dict)
+    set: dict[str, Number | list[Number]] = Field(default_factory=dict)
     draw: dict[str, Draw] = Field(default_factory=dict, description="'field.object' = {std...}")
 
 
@@ -63,8 +108,8 @@ class BelievedChannelSection(Section):
     noise: PerName | None = Field(
         None, description="std per axis; an axis that a table does not name has the true one"
     )
-    cov: list[list[float]] | None = Field(None, description="full R")
-    latency: NonNegative | None = Field(None, description="s; default: readings have time stamps")
+    cov: Covariance | None = Field(None, description="full R")
+    latency: Delay | None = Field(None, description="s; default: readings have time stamps")
     timestamps: Literal["taken", "due"] = Field(
         "taken", description="of readings with jitter: the sampling time, or the time they were due"
     )
@@ -83,12 +128,12 @@ class BelievedNoiseSection(Section):
     kind: Literal["additive", "force", "actuator"] | None = Field(
         None, description="default the true kind"
     )
-    density: PerName | None = Field(
+    density: PerNameSquared | None = Field(
         None,
         description="diagonal of Q_s, as `process_noise.density`; an axis that a table does not "
         "name has the true one, or none if the kind is another",
     )
-    matrix: list[list[float]] | None = Field(None, description="full Q_s instead of density")
+    matrix: Covariance | None = Field(None, description="full Q_s instead of density")
 
 
 class FilterSection(Section):
@@ -98,9 +143,9 @@ class FilterSection(Section):
     """
 
     path: str | None = Field(None, description="another MJCF with the same joints")
-    timestep: Positive | None = None
+    timestep: Timestep | None = None
     integrator: Literal["Euler", "RK4", "implicit", "implicitfast"] | None = None
-    set: dict[str, float | list[float]] = Field(default_factory=dict)
+    set: dict[str, Number | list[Number]] = Field(default_factory=dict)
     process_noise: BelievedNoiseSection | None = Field(None, description="default the true one")
     process_noise_scale: Positive = Field(1.0, description="filter's Q over the true Q")
     measurement_noise_scale: Positive = Field(1.0, description="filter's R over the true R")
@@ -108,7 +153,7 @@ class FilterSection(Section):
     delays: Literal["exact", "naive"] = Field(
         "exact", description="late readings: go back and replay, or fuse as if current"
     )
-    window: Positive | None = Field(
+    window: Duration | None = Field(
         None, description="s that exact delay handling can go back; default the longest latency"
     )
     differences: Literal["forward", "centered"] = "forward"
@@ -118,19 +163,19 @@ class FilterSection(Section):
 class SimulationSection(Section):
     """Duration, count of runs, and seed."""
 
-    duration: Positive = Field(5.0, description="s")
-    runs: Annotated[int, Field(ge=1)] = 200
-    seed: Annotated[int, Field(ge=0)] = 0
+    duration: Duration = Field(5.0, description="s")
+    runs: Count = 200
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
 
 
 class InitialSection(Section):
     """x̂₀ (the keyframe, or these) and P₀; the true state is drawn from N(x̂₀, P₀)."""
 
-    qpos: list[float] | None = None
-    qvel: list[float] | None = None
-    act: list[float] | None = None
+    qpos: list[Number] | None = None
+    qvel: list[Number] | None = None
+    act: list[Number] | None = None
     std: PerName = Field(0.05, description="per tangent coordinate, in its unit")
-    cov: list[list[float]] | None = Field(None, description="full P₀ in place of std")
+    cov: Covariance | None = Field(None, description="full P₀ in place of std")
 
 
 class StartSection(Section):
@@ -141,7 +186,7 @@ class StartSection(Section):
     method: Literal["prior", "batch", "static"] = Field(
         "prior", description="batch: fit the first readings; static: the same for a robot at rest"
     )
-    window: Positive = Field(0.2, description="s of readings for batch and static")
+    window: Duration = Field(0.2, description="s of readings for batch and static")
     rest_std: Positive = Field(0.01, description="static: std of the velocities, per s")
 
 
@@ -149,13 +194,13 @@ class ProcessNoiseSection(Section):
     """Spectral density Q_s of the true disturbance; the filter's is a multiple of it."""
 
     kind: Literal["additive", "force", "actuator"] = "additive"
-    density: PerName | None = Field(
+    density: PerNameSquared | None = Field(
         None,
         description="diagonal of Q_s: (unit)²/s; forces (N or N m)² s; actuators (ctrl)² s; "
         "default 0.01 on every axis (additive: the velocities; force: scaled so that the "
         "velocities gain 0.01 (unit)²/s)",
     )
-    matrix: list[list[float]] | None = Field(None, description="full Q_s instead of density")
+    matrix: Covariance | None = Field(None, description="full Q_s instead of density")
     schedule: Schedule | None = Field(
         None, description="rows (until s, factor on Q_s), or function: factor(s), or full Q_s"
     )
@@ -186,24 +231,26 @@ def _not_negative(value: float | list[float]) -> float | list[float]:
     return value
 
 
-PerAxis = Annotated[float | list[float], AfterValidator(_not_negative)]
+PerAxis = Annotated[Number | list[Number], AfterValidator(_not_negative)]
 
 
 class ChannelSection(Section):
     """Noise, timing and imperfections of a channel, in the unit of its reading."""
 
-    noise: float | list[float] | None = Field(None, description="std per axis; default MJCF noise")
+    noise: Number | list[Number] | None = Field(
+        None, description="std per axis; default MJCF noise"
+    )
     noise_density: Positive | None = Field(
         None, description="datasheet: unit/√Hz; the std is this times √rate"
     )
-    cov: list[list[float]] | None = Field(None, description="full R instead of noise")
+    cov: Covariance | None = Field(None, description="full R instead of noise")
     schedule: Schedule | None = Field(
         None, description="rows (until s, factor on the std), or function: factor(s), or full R"
     )
     bias: PerAxis = Field(0.0, description="std of a constant drawn once per run")
     bias_walk: PerAxis = Field(0.0, description="random walk, unit/√s")
     drift: PerAxis = Field(0.0, description="std of a Gauss-Markov drift")
-    drift_time: Positive = Field(100.0, description="correlation time of the drift, s")
+    drift_time: Duration = Field(100.0, description="correlation time of the drift, s")
     bias_instability: Positive | None = Field(
         None, description="datasheet: minimum of the Allan deviation; sets a Gauss-Markov drift"
     )
@@ -216,46 +263,38 @@ class ChannelSection(Section):
     cutoff: Positive | None = Field(None, description="saturation; default the MJCF's cutoff")
     deadband: PerAxis = Field(0.0, description="readings of smaller magnitude become zero")
     outlier_probability: Probability = 0.0
-    outlier_scale: Annotated[float, Field(ge=1)] = Field(
-        10.0, description="factor on the noise of an outlier"
-    )
-    student_dof: Annotated[float, Field(gt=2)] | None = Field(
+    outlier_scale: Factor = Field(10.0, description="factor on the noise of an outlier")
+    student_dof: Annotated[float, Field(gt=2, le=LONGEST)] | None = Field(
         None, description="Student-t noise of covariance R with these degrees of freedom"
     )
     dropout: Probability = Field(0.0, description="share of readings lost")
-    dropout_length: Annotated[float, Field(ge=1)] = Field(
+    dropout_length: Factor = Field(
         1.0, description="mean length of a gap, readings; 1 = independent"
     )
     stuck: Probability = Field(
         0.0, description="probability per reading that a stuck-at fault begins"
     )
-    stuck_length: Annotated[float, Field(ge=1)] = Field(
-        10.0, description="mean length of a fault, readings"
-    )
+    stuck_length: Factor = Field(10.0, description="mean length of a fault, readings")
     rate: Positive | None = Field(
         None, description="Hz; default the MJCF's interval, else every step"
     )
-    phase: NonNegative | None = Field(
+    phase: Delay | None = Field(
         None, description="time of the first reading, s; default the MJCF's, else one period"
     )
-    jitter: NonNegative = Field(
-        0.0, description="largest deviation of the sampling time, s, uniform"
-    )
-    latency: NonNegative | None = Field(None, description="s from sampling to arrival")
-    latency_std: NonNegative = Field(
-        0.0, description="std of the latency about its mean `latency`, s"
-    )
+    jitter: Delay = Field(0.0, description="largest deviation of the sampling time, s, uniform")
+    latency: Delay | None = Field(None, description="s from sampling to arrival")
+    latency_std: Delay = Field(0.0, description="std of the latency about its mean `latency`, s")
     enabled: bool = True
     add: AddSensor | None = None
     of: list[str] | None = Field(None, description="sensors that form one channel, with one R")
-    axes: list[Annotated[int, Field(ge=0)]] | None = Field(
+    axes: list[Index] | None = Field(
         None, description="indices of the axes that are measured, from 0; default all"
     )
     function: str | None = Field(
         None, description="module:function(x, u, t) -> y instead of a sensor"
     )
     unit: str | None = Field(None, description="of a function's reading")
-    angles: list[Annotated[int, Field(ge=0)]] | None = Field(
+    angles: list[Index] | None = Field(
         None, description="indices of a function's outputs that are angles in rad, modulo 2π"
     )
 
@@ -279,7 +318,7 @@ class ControlSection(Section):
     frequencies: list[Positive] = Field(default_factory=lambda: [0.5], description="sine: Hz")
     offset: Literal["keyframe", "zero"] = Field("keyframe", description="sine, random: mean")
     std: PerName = Field(0.0, description="random: standard deviation")
-    time_constant: Positive = Field(0.2, description="random: s")
+    time_constant: Duration = Field(0.2, description="random: s")
     state_weight: PerName = Field(1.0, description="lqr: diagonal of the state cost")
     control_weight: PerName = Field(1.0, description="lqr: diagonal of the control cost")
     path: str | None = Field(None, description="csv: columns t then one per actuator")
@@ -294,28 +333,26 @@ class TaskSection(Section):
     control_weight: PerName = Field(
         0.0, description="cost of a squared control minus the keyframe's"
     )
-    alive: float = Field(1.0, description="reward per step within the bounds")
+    alive: Number = Field(1.0, description="reward per step within the bounds")
     bounds: dict[str, Positive] = Field(
         default_factory=dict,
         description="largest distance from the goal, per coordinate; beyond it the episode ends",
     )
-    horizon: Positive | None = Field(None, description="s; default simulation.duration")
+    horizon: Duration | None = Field(None, description="s; default simulation.duration")
 
 
 class ConsistencySection(Section):
     """The criteria of the verdict; see docs/statistics.md."""
 
     level: Annotated[float, Field(gt=0, lt=1)] = 0.95
-    tolerance: Annotated[float, Field(ge=0)] = Field(
+    tolerance: NonNegative = Field(
         0.1, description="NEES/n and NIS/m within 1 ± this are consistent in practice"
     )
-    burn_in: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="s that are left out at the start"
-    )
+    burn_in: Delay = Field(0.0, description="s that are left out at the start")
     divergence_threshold: Positive = Field(
         1000.0, description="a run diverges when NEES/n stays above this ..."
     )
-    divergence_duration: Annotated[float, Field(ge=0)] = Field(0.5, description="... for this, s")
+    divergence_duration: Delay = Field(0.5, description="... for this, s")
 
 
 ContactEvent = Literal["touch-down", "lift-off", "slip", "limit"]
@@ -331,9 +368,7 @@ class ContactSection(Section):
         default_factory=lambda: ["touch-down", "lift-off"],
         description="what counts as an event; slip: a contact begins to; limit: of a joint",
     )
-    steps: Annotated[int, Field(ge=0)] = Field(
-        3, description="control steps before and after an event that belong to it"
-    )
+    steps: Index = Field(3, description="control steps before and after an event that belong to it")
     slip: Positive = Field(0.05, description="m/s, tangential speed of a contact that slips")
 
 

@@ -72,7 +72,7 @@ def _function(name: str, target: str, section: ChannelSection, model: mujoco.MjM
     x, u = np.tile(x, (2, 1)), np.zeros((2, model.nu))
     try:
         width = np.shape(called(x, u, 0.0))[-1]
-    except Exception as error:  # a user's function may raise anything
+    except (Exception, SystemExit) as error:  # a user's function may raise anything
         raise ScenarioError(
             f"{where} raised for x of shape {x.shape}: {user_error_location(error)}; it is "
             "called as h(x, u, t) and returns (..., m)"

@@ -73,7 +73,7 @@ class UserFunction:
         """
         try:
             value = np.asarray(self.function(t), dtype=np.float64)
-        except Exception as error:  # a user's function may raise anything
+        except (Exception, SystemExit) as error:  # a user's function may raise anything
             raise ScenarioError(
                 f"{self.where} raised at t = {t:g} s: {user_error_location(error)}"
             ) from None

@@ -4,17 +4,15 @@ A controller sees the true state or an estimate of it. A random one draws its nu
 from the stream of each run, so the control of run i depends only on the seed and on what it sees.
 """
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import cast
 
 import mujoco
 import numpy as np
 import scipy.linalg
 
-from estbench.errors import ControllerError, DimensionError, EstimatorError, user_error_location
+from estbench.errors import ControllerError, EstimatorError, user_error_location
 from estbench.plugins import load_module
 from estbench.randomness import streams
 from estbench.robots import backend
@@ -22,6 +20,7 @@ from estbench.robots.controls import ControlRange
 from estbench.robots.layout import control_names
 from estbench.scenario.schema import ControlSection
 from estbench.shapes import Array, Float
+from estbench.simulation import control_file
 from estbench.spaces.linalg import row_product
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
@@ -99,7 +98,7 @@ def build(
         gain = lqr_gain(plant, section)
         return lambda k, t, x: plant.u0 - row_product(plant.space.minus(x, plant.x0), gain)
     if section.kind == "csv":
-        times, table = _read_csv(section.path, names)
+        times, table = control_file.read(section.path, names)
         return lambda k, t, x: np.broadcast_to(
             table[max(np.searchsorted(times, t + 1e-9, "right") - 1, 0)], shape
         )
@@ -113,7 +112,7 @@ def checked(controller: Controller, what: str, nu: int) -> Controller:
         try:
             # A copy: a user's function may return the same array again, with other numbers in it.
             u = np.array(controller(k, t, x), dtype=np.float64)
-        except Exception as error:  # a user's function may raise anything
+        except (Exception, SystemExit) as error:  # a user's function may raise anything
             raise ControllerError(
                 f"controller '{what}' raised at t = {t:g} s: {user_error_location(error)}"
             ) from None
@@ -145,7 +144,7 @@ def clamped(section: ControlSection, plant: Plant) -> list[str]:
         peak = peak * len(section.frequencies)
         least, most = centre - peak, centre + peak
     elif section.kind == "csv":
-        _, table = _read_csv(section.path, names)
+        _, table = control_file.read(section.path, names)
         least, most = table.min(axis=0), table.max(axis=0)
     else:
         return []
@@ -221,36 +220,6 @@ def _gauss_markov(
     for k in range(1, len(out)):
         out[k] += correlation * out[k - 1]
     return out
-
-
-def _read_csv(path: str | None, names: Sequence[str]) -> tuple[Array, Array]:
-    if path is None:
-        raise ControllerError("control.path is missing; csv needs the file to read")
-    try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-        header = 0 if _is_number(rows[0][0]) else 1
-        table = np.array([[float(cell) for cell in row] for row in rows[header:]])
-    except OSError as error:
-        raise ControllerError(f"control.path '{path}' cannot be read: {error.strerror}") from None
-    except (ValueError, IndexError) as error:
-        raise ControllerError(f"control.path '{path}' is not a table of numbers: {error}") from None
-    if table.ndim != 2 or table.shape[1] != len(names) + 1 or not len(table):
-        raise DimensionError(
-            f"control.path '{path}' has {table.shape[-1] if table.ndim == 2 else 0} columns; "
-            f"expected {len(names) + 1} (t, {', '.join(names)})"
-        )
-    if (np.diff(table[:, 0]) <= 0).any():
-        raise ControllerError(f"control.path '{path}': the times in column 1 do not increase")
-    return table[:, 0], table[:, 1:]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _user(target: str | None) -> Controller:

@@ -132,7 +132,7 @@ class IPLS(FilterThenSmooth):
     def __post_init__(self) -> None:
         one_of(self, "base", self.bases)
         super().__post_init__()
-        whole(self, "iterations", 1)
+        whole(self, "iterations", 1, 1000)
         in_range(self, "tolerance", 0.0)
 
     def smooth(self, history: FilterHistory) -> list[Gaussian]:
@@ -172,7 +172,7 @@ class MAP(FilterThenSmooth):
         super().__post_init__()
         if self.window is not None:
             in_range(self, "window", 0.0, low_open=True)
-        whole(self, "iterations", 1)
+        whole(self, "iterations", 1, 1000)
         in_range(self, "tolerance", 0.0, low_open=True)
 
     def check_schedule(self, duration: float, arrivals: int, given: Collection[str]) -> None:

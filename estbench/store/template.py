@@ -14,8 +14,35 @@ from estbench.inference.innovations import readings
 from estbench.robots.layout import state_names
 from estbench.scenario.schema import Scenario
 from estbench.store import versions
+from estbench.store.metadata import Labels, write_labels
 
 DONE = Field(("run",), "?", "the run is complete; ignore the others")
+
+
+def labels(setup: Setup, keep: str) -> Labels:
+    """The names of rows and columns of a store.
+
+    Args:
+        setup: the experiment.
+        keep: `summary`, `diagonal` or `full`.
+    """
+    space, seen = setup.space, readings(setup.channel_spaces)
+    texts = {
+        "coordinate": ("coordinate", space.names),
+        "coordinate_": ("coordinate_", space.names),
+        "unit": ("coordinate", space.units),
+        "phase": ("phase", PHASES),
+        "channel": ("channel", tuple(setup.channel_spaces)),
+    }
+    if keep != "summary":
+        texts["state"] = ("state", state_names(space))
+    if keep == "full":
+        texts |= {"reading": ("reading", seen), "reading_": ("reading_", seen)}
+    return {
+        "run": ("run", np.arange(setup.scenario.simulation.runs)),
+        "time": ("time", setup.times),
+        **{name: (dim, np.array(values, dtype=object)) for name, (dim, values) in texts.items()},
+    }
 
 
 def declare(
@@ -30,31 +57,13 @@ def declare(
         batches: the runs of each batch; all but the last have the same length.
         dtype: of the traces, `float64` or `float32`; averages are always float64.
     """
-    space, seen = setup.space, readings(setup.channel_spaces)
     sizes = {**lengths(setup), "batch": len(batches)}
     chunk = {**sizes, "run": len(batches[0]), "batch": 1}
     root.attrs.update(
         {**provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]), "dtype": dtype}
     )
-    root.create_array("run", data=np.arange(sizes["run"]), dimension_names=("run",))
-    root.create_array("time", data=setup.times, dimension_names=("time",)).attrs["units"] = "s"
-    texts = [
-        ("coordinate", "coordinate", space.names),
-        ("coordinate_", "coordinate_", space.names),
-        ("unit", "coordinate", space.units),
-        ("phase", "phase", PHASES),
-        ("channel", "channel", tuple(setup.channel_spaces)),
-    ]
-    if keep != "summary":
-        texts.append(("state", "state", state_names(space)))
-    if keep == "full":
-        texts += [("reading", "reading", seen), ("reading_", "reading_", seen)]
-    for name, dim, values in texts:
-        # Strings of variable length: the only ones that zarr 3 has a specification for.
-        labels = root.create_array(
-            name, shape=(len(values),), dtype=str, dimension_names=(dim,)  # type: ignore[arg-type]
-        )  # fmt: skip
-        labels[:] = np.array(values, dtype=object)
+    write_labels(root, labels(setup, keep))
+    root["time"].attrs["units"] = "s"
 
     def group(path: str, table: Mapping[str, Field], kind: str | None = None) -> None:
         for name, field in table.items():

@@ -4,7 +4,8 @@ All arrays are declared first. Each batch of runs is one zarr chunk of every arr
 batches write the same file, and `done[run]` is written last. An unfinished store is readable (take
 the runs that are done) and can be resumed. A chunk is written to a temporary file and renamed, has
 a checksum, and is written even if all its values are the fill value. A batch that is marked done
-and lacks a chunk, as after a power failure, is therefore recognized as damaged.
+and lacks a chunk, as after a power failure, is therefore recognized as damaged. All other files
+have checksums too (`metadata`, `checksums`).
 """
 
 import contextlib
@@ -29,10 +30,11 @@ from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError
 from estbench.experiment.prepared import Setup
 from estbench.scenario.load import changes
-from estbench.store import locks, versions
-from estbench.store.template import declare
+from estbench.store import checksums, locks, metadata, versions
+from estbench.store.metadata import STORE, UNREADABLE
+from estbench.store.template import declare, labels
 
-STORE, SCENARIO, COSTS = "data.zarr", "scenario.toml", "costs"
+SCENARIO, COSTS = "scenario.toml", "costs"
 
 
 def default_folder(name: str) -> Path:
@@ -51,6 +53,7 @@ class Store:
         keep: what is stored of each run: `summary`, `diagonal` or `full`.
         dtype: of the traces.
         batches: the runs of each batch.
+        restored: names of the files that were damaged and that `reopen` wrote again.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Store:
         self.batches = list(batches)
         self.keep = keep
         self.dtype = dtype
+        self.restored: list[str] = []
         self._made: list[Path] | None = None
         self._root = self._open("r+")
         self._arrays: dict[str, Any] = {}
@@ -92,10 +96,13 @@ class Store:
         draft = locks.draft(folder)
         try:
             with locks.building(draft):
-                (draft / SCENARIO).write_text(setup.scenario.to_toml(), encoding="utf-8")
+                texts = _texts(setup)
+                for name, text in texts.items():
+                    (draft / name).write_text(text, encoding="utf-8")
                 (draft / COSTS).mkdir()
                 root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
                 declare(root, setup, keep, batches, dtype)
+                metadata.seal(draft, texts, labels(setup, keep))
                 draft.rename(folder)
         except BaseException as error:
             _remove(draft, made)
@@ -110,13 +117,18 @@ class Store:
 
     @classmethod
     def reopen(cls, folder: Path, setup: Setup) -> "Store":
-        """Open a store to resume it.
+        """Open a store to resume it; damaged metadata, labels and texts are written again.
 
         Raises:
-            StoreError: it is no store, or of another scenario; the key that differs is named.
+            StoreError: it is no store, or of another scenario, of which the key that differs is
+                named; or a file is damaged that nothing can restore.
         """
-        if not (folder / STORE).is_dir() or not (folder / SCENARIO).is_file():
+        if not (folder / STORE).is_dir():
             raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
+        try:
+            restored = metadata.restore(folder, _texts(setup))
+        except OSError as error:
+            raise _unwritable(folder, error) from None
         try:
             before = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -144,7 +156,13 @@ class Store:
                     f"{folder} was begun with an earlier version of estbench and has no "
                     f"{label}/{lacking[0]}: it can be read but not continued; choose another --out"
                 )
-        return cls(folder, str(keep), str(dtype), batches, _live(setup))
+        store = cls(folder, str(keep), str(dtype), batches, _live(setup))
+        try:
+            restored += metadata.restore_labels(folder, store._root, labels(setup, str(keep)))
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        store.restored = restored
+        return store
 
     def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
         """Write one batch, and mark its runs as done last.
@@ -157,7 +175,7 @@ class Store:
             if not _stands(self.folder):
                 raise FileNotFoundError(errno.ENOENT, "the store was deleted")
             cost = {label: float(r["cpu_time"].sum()) for label, r in records.items()}
-            (self.folder / COSTS / f"{batch}.json").write_text(json.dumps(cost), encoding="utf-8")
+            checksums.write(self.folder / COSTS / f"{batch}.json", cost)
             for group, record in {"truth": truth, **records}.items():
                 for name, value in record.items():
                     if name not in COST:
@@ -174,7 +192,7 @@ class Store:
         runs = slice(self.batches[batch].start, self.batches[batch].stop)
         try:
             return bool(np.asarray(self._array("done")[runs]).all())
-        except (OSError, ValueError, KeyError, RuntimeError):
+        except UNREADABLE:
             return False
 
     def read(self, batch: int, check: bool = True) -> dict[str, Record] | None:
@@ -201,10 +219,10 @@ class Store:
                 }
                 if group != "truth":
                     out[group] = {name: values[name] for name in SUMMARY}
-            cost = json.loads((self.folder / COSTS / f"{batch}.json").read_text(encoding="utf-8"))
+            cost = read_costs(self.folder, batch)
             for group in groups:
                 out[group]["cpu_time"] = np.full(len(runs), cost[group] / len(runs))
-        except (OSError, ValueError, KeyError, RuntimeError):
+        except UNREADABLE:
             return None
         return out
 
@@ -239,27 +257,13 @@ class Store:
         """
         try:
             with locks.briefly(self.folder):
-                attrs = self._open("r+" if writing else "r").attrs
-                found, now = versions.known(attrs), versions.installed()
+                found, now = versions.known(self._open("r").attrs), versions.installed()
                 if writing and now not in found:
                     found.append(now)
-                    attrs["continued"] = found[1:]
+                    metadata.change(self.folder, continued=found[1:])
         except OSError as error:
             raise _unwritable(self.folder, error) from None
         return versions.mixed(found)
-
-    def close(self) -> None:
-        """Consolidate the metadata, so that the store opens by reading one file.
-
-        Raises:
-            StoreError: the store was deleted, or the disk is full.
-        """
-        try:
-            with locks.briefly(self.folder), warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # zarr: not yet in the standard
-                zarr.consolidate_metadata(str(self.folder / STORE))
-        except OSError as error:
-            raise _unwritable(self.folder, error) from None
 
     def discard(self) -> None:
         """Remove the folder and the parents that were made for it, if this object made them."""
@@ -272,8 +276,7 @@ class Store:
     def _array(self, path: str) -> Any:
         """An array of the store, cached: opening one reads its metadata."""
         if path not in self._arrays:
-            with zarr.config.set({"array.write_empty_chunks": True}):
-                self._arrays[path] = self._root[path]
+            self._arrays[path] = metadata.opened(self._root, path)
         return self._arrays[path]
 
     def _chunk(self, group: str, name: str, batch: int) -> Path:
@@ -289,6 +292,24 @@ class Store:
         dims = self._fields(group)[name].dims
         runs = self.batches[batch]
         return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
+
+
+def read_costs(folder: Path, batch: int) -> dict[str, float]:
+    """The core time of each estimator for the runs of a batch, s.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError, KeyError: it is damaged.
+    """
+    stored = checksums.read(folder / COSTS / f"{batch}.json")
+    if not isinstance(stored, dict):
+        raise ValueError("it is no table")
+    return {str(label): float(cost) for label, cost in stored.items()}
+
+
+def _texts(setup: Setup) -> dict[str, str]:
+    """The texts beside the store."""
+    return {SCENARIO: setup.scenario.to_toml()}
 
 
 def _live(setup: Setup) -> bool:
@@ -321,11 +342,12 @@ def open_results(folder: str | Path) -> xr.DataTree:
     """Open the store of a results folder: the root, `truth`, and a group per estimator.
 
     Raises:
-        StoreError: there is no such store.
+        StoreError: there is no such store, or its metadata or a label is damaged.
     """
     path = Path(folder) / STORE
     if not path.is_dir():
         raise StoreError(f"{folder} holds no {STORE}; name a folder that `estbench run` wrote")
+    metadata.check(Path(folder))
     try:
         with warnings.catch_warnings():  # a store that was never closed opens, only slowly
             warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)

@@ -112,11 +112,13 @@ def run(
         for g, group in enumerate(study.groups)
         for k, i in enumerate(group.ravel().tolist())
     }
+    restored = () if store is None else store.restored
+    again = [f"{name} was damaged and has been written again" for name in restored]
     missing = [f"a batch is missing: {error}" for error in dict.fromkeys(map(str, errors.values()))]
     return Findings(
         study, first.space.names, first.space.units, tuple(first.channel_spaces),
         tuple(by_variant[i] for i in range(len(study.variants))), runs, records, failures,
-        None if store is None else store.folder, interrupted, (*first.notices, *missing),
+        None if store is None else store.folder, interrupted, (*first.notices, *again, *missing),
     )  # fmt: skip
 
 
@@ -129,11 +131,11 @@ def _opened(
     resumed: bool,
 ) -> StudyStore:
     """A new store, or the one that is resumed."""
-    if resumed and folder.exists():
-        return StudyStore.reopen(folder, study)
     coordinates = {"coordinate": first.space.names}
     if "channel" in sizes:
         coordinates["channel"] = tuple(first.channel_spaces)
+    if resumed and folder.exists():
+        return StudyStore.reopen(folder, study, sizes, coordinates, batch_size)
     return StudyStore.create(folder, study, sizes, coordinates, batch_size)
 
 
@@ -142,10 +144,8 @@ def _locked(
     shard: tuple[int, int] | None,
     calculate: Callable[[], tuple[dict[Piece, Exception], bool]],
 ) -> tuple[dict[Piece, Exception], bool]:
-    """Calculate while the store is locked, and close it."""
+    """Calculate while the store is locked."""
     if store is None:
         return calculate()
     with store.lock(shard):
-        found = calculate()
-        store.close()
-    return found
+        return calculate()

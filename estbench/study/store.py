@@ -22,9 +22,10 @@ from zarr.codecs import Crc32cCodec
 
 from estbench.consistency.fields import Record
 from estbench.errors import StoreError
-from estbench.store import locks
+from estbench.store import checksums, locks, metadata
+from estbench.store.metadata import STORE
 from estbench.store.template import provenance
-from estbench.store.zarr import SCENARIO, STORE
+from estbench.store.zarr import SCENARIO
 from estbench.study.compute import Outcomes, Piece
 from estbench.study.design import Study
 from estbench.study.evaluation import KEPT, failed
@@ -40,15 +41,16 @@ class StudyStore:
     Attributes:
         folder: its path.
         batches: the runs of each batch.
+        restored: names of the files that were damaged and that `reopen` wrote again.
     """
 
     def __init__(self, folder: Path, study: Study, sizes: Mapping[str, int], batch_size: int):
         self.folder, self._study, self._sizes = folder, study, dict(sizes)
         runs = study.scenario.simulation.runs
         self.batches = [range(i, min(i + batch_size, runs)) for i in range(0, runs, batch_size)]
+        self.restored: list[str] = []
         self._root = zarr.open_group(str(folder / STORE), mode="r+", zarr_format=3)
-        with zarr.config.set({"array.write_empty_chunks": True}):
-            self._arrays: dict[str, Any] = {name: self._root[name] for name in (*KEPT, "done")}
+        self._arrays = {name: metadata.opened(self._root, name) for name in (*KEPT, "done")}
 
     @classmethod
     def create(
@@ -71,11 +73,12 @@ class StudyStore:
         draft = locks.draft(folder)
         try:
             with locks.building(draft):
-                (draft / SCENARIO).write_text(study.scenario.to_toml(), encoding="utf-8")
-                about = describe(study) | {"batch_size": batch_size, "sizes": dict(sizes)}
-                (draft / STUDY).write_text(json.dumps(about, indent=1), encoding="utf-8")
+                texts = _texts(study, sizes, batch_size)
+                for name, text in texts.items():
+                    (draft / name).write_text(text, encoding="utf-8")
                 (draft / FAILURES).mkdir()
                 _declare(draft / STORE, study, sizes, coordinates, batch_size)
+                metadata.seal(draft, texts, _labels(study, coordinates))
                 draft.rename(folder)
         except OSError as error:
             raise StoreError(
@@ -84,12 +87,28 @@ class StudyStore:
         return cls(folder, study, sizes, batch_size)
 
     @classmethod
-    def reopen(cls, folder: Path, study: Study) -> "StudyStore":
-        """Open a store to go on with it.
+    def reopen(
+        cls,
+        folder: Path,
+        study: Study,
+        sizes: Mapping[str, int],
+        coordinates: Mapping[str, Sequence[str]],
+        batch_size: int,
+    ) -> "StudyStore":
+        """Open a store to go on with it; damaged metadata, labels and texts are written again.
+
+        Args:
+            folder: of the results.
+            study: the variants.
+            sizes: length of each dimension.
+            coordinates: dimension -> names along it.
+            batch_size: runs per batch, for a store whose description is damaged.
 
         Raises:
-            StoreError: it is no store, or of another study.
+            StoreError: it is no store, or of another study, or a file is damaged that nothing can
+                restore.
         """
+        restored = metadata.restore(folder, _texts(study, sizes, batch_size))
         about = read_about(folder)
         was = {k: about.get(k) for k in describe(study)}
         if was != json.loads(json.dumps(describe(study))):
@@ -97,7 +116,10 @@ class StudyStore:
                 f"{folder} is of another study: its keys, values or scenario differ; choose "
                 "another --out"
             )
-        return cls(folder, study, about["sizes"], int(about["batch_size"]))
+        store = cls(folder, study, about["sizes"], int(about["batch_size"]))
+        again = metadata.restore_labels(folder, store._root, _labels(study, coordinates))
+        store.restored = restored + again
+        return store
 
     @contextmanager
     def lock(self, shard: locks.Shard | None = None) -> Iterator[None]:
@@ -134,7 +156,7 @@ class StudyStore:
                 if isinstance(o, str)
             ]
             if reasons:
-                self._failure_file(piece).write_text(json.dumps(reasons), encoding="utf-8")
+                checksums.write(self._failure_file(piece), reasons)
             blank = failed(self._sizes, len(runs))
             rows = [
                 blank if isinstance(o := by_label[label], str) else o
@@ -171,8 +193,8 @@ class StudyStore:
                 for name in KEPT
             }  # fmt: skip
             file = self._failure_file(piece)
-            reasons = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
-        except (OSError, ValueError, RuntimeError):
+            reasons = checksums.read(file) if file.is_file() else []
+        except metadata.UNREADABLE:
             return None
         out: list[dict[str, Record | str]] = [
             {label: {n: v[i, j] for n, v in found.items()} for j, label in enumerate(labels)}
@@ -181,12 +203,6 @@ class StudyStore:
         for i, label, reason in reasons:
             out[i][label] = reason
         return out
-
-    def close(self) -> None:
-        """Consolidate the metadata, so that the store opens by reading one file."""
-        with locks.briefly(self.folder), warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # zarr: not yet in the standard
-            zarr.consolidate_metadata(str(self.folder / STORE))
 
     def _failure_file(self, piece: Piece) -> Path:
         return self.folder / FAILURES / f"{piece[0]}-{piece[1]}.json"
@@ -227,19 +243,38 @@ def open_study(folder: str | os.PathLike[str]) -> xr.Dataset:
     """Open the store of a study: variables (varied keys, estimator, run, ...).
 
     Raises:
-        StoreError: there is no such store.
+        StoreError: there is no such store, or its metadata or a label is damaged.
     """
     path = Path(folder)
+    metadata.check(path)
     read_about(path)
     with warnings.catch_warnings():  # a store that was never closed opens, only slowly
         warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)
         return xr.open_zarr(path / STORE, consolidated=None)
 
 
+def _texts(study: Study, sizes: Mapping[str, int], batch_size: int) -> dict[str, str]:
+    """The texts beside the store."""
+    about = describe(study) | {"batch_size": batch_size, "sizes": dict(sizes)}
+    return {SCENARIO: study.scenario.to_toml(), STUDY: json.dumps(about, indent=1)}
+
+
 def coordinate(values: Sequence[Any]) -> NDArray[Any]:
     """The values of a key as a coordinate: numbers, or their text."""
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     return np.array(values, float) if numeric else np.array([str(v) for v in values], object)
+
+
+def _labels(study: Study, coordinates: Mapping[str, Sequence[str]]) -> metadata.Labels:
+    """The names of rows and columns of a store."""
+    labels: dict[str, tuple[str, NDArray[Any]]] = {
+        "estimator": ("estimator", coordinate(study.labels)),
+        **{name: (name, coordinate(values)) for name, values in coordinates.items()},
+        "run": ("run", np.arange(study.scenario.simulation.runs)),
+    }
+    for axis in study.axes:
+        labels[axis.key] = (axis.key if study.grid else study.dims[0], coordinate(axis.values))
+    return labels
 
 
 def _declare(
@@ -253,19 +288,7 @@ def _declare(
     root = zarr.open_group(str(path), mode="w-", zarr_format=3)
     root.attrs.update(provenance(study.scenario))
     lengths = {**sizes, "run": study.scenario.simulation.runs}
-    labelled: dict[str, tuple[str, NDArray[Any]]] = {
-        "estimator": ("estimator", coordinate(study.labels)),
-        **{name: (name, coordinate(values)) for name, values in coordinates.items()},
-        "run": ("run", np.arange(lengths["run"])),
-    }
-    for axis in study.axes:
-        labelled[axis.key] = (axis.key if study.grid else study.dims[0], coordinate(axis.values))
-    for name, (dim, values) in labelled.items():
-        array = root.create_array(
-            name, shape=values.shape, dimension_names=(dim,),
-            dtype=str if values.dtype == object else values.dtype,  # type: ignore[arg-type]
-        )  # fmt: skip
-        array[:] = values
+    metadata.write_labels(root, _labels(study, coordinates))
     block = study.groups[0].shape
     head = (*study.dims, "estimator")
     for name in (*KEPT, "done"):

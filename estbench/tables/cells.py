@@ -6,8 +6,30 @@ from typing import Any
 
 from estbench.consistency.declaration import Detail, Statistic
 from estbench.consistency.intervals import Interval
-from estbench.consistency.statistics import Summary
+from estbench.consistency.statistics import RMSE, Summary
 from estbench.tables.quantity import number, percent, quantity
+
+LOST = "*"
+"""After the RMSE of an estimator that lost runs, in a cell."""
+LOST_NOTE = f"{LOST} leaves out the runs that diverged"
+
+
+def marked(text: str, summary: Summary) -> str:
+    """The text of an RMSE, with `LOST` where the estimator lost runs."""
+    return text + LOST if summary.diverged > 0 and text != "–" else text
+
+
+def lost_note(summaries: Iterable[Summary]) -> tuple[str, ...]:
+    """The note that explains `LOST`; none where no estimator lost runs."""
+    return (LOST_NOTE,) if any(s.diverged > 0 for s in summaries) else ()
+
+
+def of_summary(
+    summary: Summary, statistic: Statistic, value: Interval | float, detail: Detail
+) -> str:
+    """The text of one value of an estimator, marked where it leaves out lost runs."""
+    text = cell(statistic, value, detail)
+    return marked(text, summary) if statistic is RMSE else text
 
 
 def cell(statistic: Statistic, value: Interval | float, detail: Detail) -> str:

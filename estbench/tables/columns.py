@@ -13,6 +13,8 @@ from rich.console import Console, ConsoleOptions
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from estbench.tables.names import visible
+
 GAP = 2
 """Characters between columns."""
 WIDE = 40
@@ -21,7 +23,7 @@ WIDE = 40
 
 @dataclass(frozen=True)
 class Column:
-    """A heading and the cells under it.
+    """A heading and the cells under it; control characters in names become escapes.
 
     Attributes:
         heading: one line.
@@ -36,6 +38,12 @@ class Column:
     justify: Literal["left", "right"] = "right"
     narrow: str = ""
     wraps: bool = False
+
+    def __post_init__(self) -> None:
+        shown = tuple(visible(c) if isinstance(c, str) else c for c in self.cells)
+        object.__setattr__(self, "cells", shown)
+        for name in ("heading", "narrow"):
+            object.__setattr__(self, name, visible(getattr(self, name), lines=True))
 
     @property
     def width(self) -> int:
@@ -70,6 +78,10 @@ class Table:
     groups: tuple[Group, ...]
     title: str = ""
     note: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "title", visible(self.title))
+        object.__setattr__(self, "note", visible(self.note, lines=True))
 
     @property
     def columns(self) -> Group:

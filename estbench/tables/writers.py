@@ -1,11 +1,18 @@
-"""Tables as text, Markdown and LaTeX. A table without columns is the heading of a section."""
+"""Tables as text, Markdown and LaTeX, and rows as CSV.
 
-from collections.abc import Sequence
+A table without columns is the heading of a section.
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.text import Text
 
 from estbench.tables.columns import Table
+from estbench.tables.names import cell
 
 
 def text(tables: Sequence[Table], width: int = 100) -> str:
@@ -37,7 +44,7 @@ def markdown(tables: Sequence[Table]) -> str:
             continue
         headings = [c.heading for c in table.columns]
         rule = ["---:" if c.justify == "right" else "---" for c in table.columns]
-        rows = [[cell.replace("|", "\\|") for cell in row] for row in table.rows]
+        rows = [[text.replace("|", "\\|") for text in row] for row in table.rows]
         lines = ["| " + " | ".join(row) + " |" for row in (headings, rule, *rows)]
         parts.append("\n".join([f"### {table.title}", "", *lines]))
         if table.note:
@@ -68,6 +75,18 @@ def latex(tables: Sequence[Table]) -> str:
     return "\n\n".join(parts)
 
 
+def comma_separated(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """CSV with a line of headings; a row's cell is empty where it has no such key.
+
+    A text that a spreadsheet would take for a formula is quoted (`names.cell`).
+    """
+    file = io.StringIO()
+    writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({key: cell(value) for key, value in row.items()} for row in rows)
+    return file.getvalue()
+
+
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
@@ -76,6 +95,6 @@ _LATEX = {
 }  # fmt: skip
 
 
-def escape(cell: str) -> str:
+def escape(text: str) -> str:
     """Text for LaTeX."""
-    return "".join(_LATEX.get(c, c) for c in cell)
+    return "".join(_LATEX.get(c, c) for c in text)

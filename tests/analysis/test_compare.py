@@ -1,6 +1,7 @@
 import csv
 import io
 import json
+import re
 import sys
 
 import numpy as np
@@ -22,6 +23,23 @@ def both(stores):
 
 
 # What is compared with what
+
+
+def test_a_folder_of_results_stands_for_those_in_it(stores, tmp_path):
+    for name in ("b", "seed"):
+        (tmp_path / name).symlink_to(stores[name].folder)
+    (tmp_path / "notes").mkdir()
+    comparison = compare_stores([tmp_path])
+    assert [c.title[-6:] for c in comparison.contests] == ["seed 0", "seed 1"]
+    with pytest.raises(StoreError, match="holds no data"):
+        compare_stores([tmp_path / "notes"])
+
+
+def test_the_ranking_says_who_is_not_consistent_and_why_there_is_no_nci(both):
+    text = formats.render(both, "text")
+    ranking = text[text.index("Ranking by RMSE") :]
+    assert re.search(r"7 +b/ekf +(?!consistent)[a-z]+ ", ranking)
+    assert "NCI of b/ekf is –: the errors of each run are not stored" in text
 
 
 def test_one_store(stores):

@@ -8,6 +8,7 @@ from estbench.analysis.load import load
 from estbench.consistency import records
 from estbench.consistency.summary import summarize
 from estbench.errors import EstbenchError, StoreError
+from tests.stores import unsealed
 
 
 def test_a_whole_store_is_what_was_run(stores):
@@ -61,6 +62,7 @@ def test_traces_batch_by_batch(stores, unfinished):
 def test_traces_leave_diverged_runs_and_the_burn_in_out(stores, tmp_path):
     shutil.copytree(stores["a"].folder, tmp_path / "a")
     zarr.open_group(str(tmp_path / "a/data.zarr"), mode="r+")["ekf/diverged"][2:4] = True  # type: ignore[index]
+    unsealed(tmp_path / "a")
     text = (tmp_path / "a/scenario.toml").read_text()
     assert "burn_in = 0.0" in text
     (tmp_path / "a/scenario.toml").write_text(text.replace("burn_in = 0.0", "burn_in = 0.1"))
@@ -96,6 +98,7 @@ def without_scenario(folder, source):
 
 def without_array(folder, source):
     shutil.copytree(source, folder, dirs_exist_ok=True)
+    unsealed(folder)
     shutil.rmtree(folder / "data.zarr/ekf/mse")
     for name in ("data.zarr/zarr.json", "data.zarr/ekf/zarr.json"):  # forget the consolidated list
         text = (folder / name).read_text()
@@ -115,7 +118,7 @@ def corrupted(folder, source):
         (lambda f, s: None, "holds no data.zarr"),
         (lambda f, s: foreign(f), "not a store of estbench"),
         (empty, "no finished run yet"),
-        (without_scenario, "holds no scenario.toml"),
+        (without_scenario, "scenario.toml is damaged or missing"),
         (without_array, "not a store of estbench: no .*mse"),
         (corrupted, "ekf/mse cannot be read"),
         (lambda f, s: (f / "data.zarr").mkdir(), "data.zarr"),
@@ -133,6 +136,7 @@ def test_what_is_no_store_is_said_in_one_line(stores, tmp_path, make, says):
 
 def test_a_broken_scenario_is_an_error_of_ours(stores, tmp_path):
     shutil.copytree(stores["a"].folder, tmp_path / "a")
+    unsealed(tmp_path / "a")
     (tmp_path / "a/scenario.toml").write_text("name = ")
     with pytest.raises(EstbenchError, match="not valid TOML"):
         load(tmp_path / "a")

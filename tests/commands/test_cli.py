@@ -382,7 +382,7 @@ BAD = {
     ),
     "size of control": (
         ("run", "robot.xml", "--set", "control={kind='csv', path='u.csv'}"),
-        "u.csv' has 3 columns; expected 2",
+        "u.csv', row 1 has 3 columns; expected 2",
     ),
     "blind": (
         ("run", "blind.xml", "--set", "sensors=[]"),
@@ -493,6 +493,26 @@ def test_a_module_of_the_current_folder(folder):
     out, err = process.communicate(timeout=60)
     assert (process.returncode, said(err)) == (0, "")
     assert list(json.loads(out)["estimators"]) == ["Mine"]
+
+
+def test_without_asserts(folder):
+    """`python -O`: zarr 3.1 needs one of its own."""
+    arguments = ["-m", "estbench", "run", "pendulum", "-e", "ekf", "--runs", "2"]
+    command = [sys.executable, "-O", *arguments, "--duration", "0.05", "--out", "x"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "consistent" in done.stdout or "undecided" in done.stdout
+
+
+def test_a_name_that_the_locale_cannot_read_is_one_line(folder):
+    (folder / "ü").mkdir()
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-m", "estbench", "list"], cwd=folder / "ü", capture_output=True,
+        env={**os.environ, **locale}, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert re.fullmatch(rb"estbench: the locale cannot read the name .*; set .*\n", done.stderr)
 
 
 def test_a_terminal_without_greek(folder):

@@ -61,7 +61,7 @@ def test_every_variable_is_recorded():
 @pytest.mark.parametrize("s", STATISTICS, ids=lambda s: s.name)
 def test_every_statistic_is_in_the_documentation(s):
     key = s.json_key.replace(".", "` `")
-    unit = {"1": "1", "[c]": "[c]", "us/run-step": "µs"}[s.unit]
+    unit = {"1": "1", "[c]": "[c]", "us/step": "µs"}[s.unit]
     variables = "; ".join(
         f"`{name}` ({', '.join(v.dims)}): {v.meaning}" for name, v in s.variables.items()
     )

@@ -1,8 +1,11 @@
 """Broken and dishonest estimators are named; those that only err as statistics are judged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import estbench
 from benchmarks import dishonest
 from estbench.errors import EstbenchError
 from estbench.estimators import registry
@@ -19,6 +22,31 @@ def test_it_is_named_or_left_to_the_verdict(name):
     assert len(found.text.splitlines()) == 1
     if found.outcome == "named" and "runs failed" not in found.text:
         assert found.text.startswith(name)
+
+
+def stops(*arguments, **keywords):
+    raise SystemExit(3)
+
+
+@pytest.mark.parametrize("method", ["__init__", "init", "predict", "update", "check_schedule"])
+def test_a_plug_in_that_exits_is_named(method, monkeypatch):
+    plug_in = type("PlugIn", (EKF,), {method: stops, "__module__": __name__})
+    monkeypatch.setitem(globals(), "PlugIn", plug_in)
+    with pytest.raises(EstbenchError, match=r"PlugIn.*(raised|Exit).*SystemExit: 3"):
+        estbench.run("pendulum", plug_in, runs=2, duration=0.05)
+
+
+class Coded(EKF):
+    """A belief whose fault is no `Fault`."""
+
+    def update(self, belief, *arguments, **keywords):
+        belief, innovation = super().update(belief, *arguments, **keywords)
+        return replace(belief, mean=belief.mean + np.nan, fault=belief.fault + 77), innovation
+
+
+def test_an_unknown_fault_is_named():
+    with pytest.raises(EstbenchError, match=r"Coded: the fault of its belief is \d+; .* 0 to 8"):
+        estbench.run("pendulum", Coded, runs=2, duration=0.05)
 
 
 CHAIN = LinearModel(A=np.array([[1.0, 0.1], [0, 1]]), C=np.eye(2), Q=0.01 * np.eye(2), R=np.eye(2))

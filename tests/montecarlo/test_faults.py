@@ -20,7 +20,8 @@ from estbench.errors import ExecutorError, StoreError
 from estbench.estimators.ekf import EKF
 from estbench.montecarlo import dask, dispatch, executors
 from estbench.montecarlo.pool import execute
-from estbench.store.zarr import SCENARIO, STORE, Store
+from estbench.store.metadata import STORE
+from estbench.store.zarr import SCENARIO, Store
 from tests.stores import run, same
 
 
@@ -49,8 +50,6 @@ def die(*arguments):
 moment, out = sys.argv[1:]
 if moment == "before the first batch":
     Store.write = die
-elif moment == "before consolidation":
-    Store.close = die
 else:  # a chunk of the third batch is written beside its place and not yet in it
     replace, seen = Path.replace, []
     def late(self, target):
@@ -61,7 +60,7 @@ else:  # a chunk of the third batch is written beside its place and not yet in i
     Path.replace = late
 estbench.run("pendulum", ["ekf"], runs=40, duration=0.3, batch_size=5, workers=1, out=out)
 """
-MOMENTS = {"before the first batch": 0, "within a chunk": 10, "before consolidation": 40}
+MOMENTS = {"before the first batch": 0, "within a chunk": 10}
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
@@ -135,7 +134,7 @@ def test_a_shard_that_fails_leaves_what_the_others_wrote(whole, tmp_path, monkey
     def fail(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("estbench.store.zarr.json.dumps", fail)
+    monkeypatch.setattr("estbench.store.checksums.write", fail)
     with pytest.raises(StoreError, match="No space left"):
         run(tmp_path / "x", shard=(2, 2))
     monkeypatch.undo()

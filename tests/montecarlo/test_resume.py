@@ -15,7 +15,8 @@ from estbench.errors import ExecutorError, StoreError
 from estbench.experiment import setup
 from estbench.montecarlo import dask, executors
 from estbench.montecarlo.pool import Failed, execute
-from estbench.store.zarr import STORE, Store
+from estbench.store.metadata import STORE
+from estbench.store.zarr import Store
 from tests.stores import run, same
 
 

@@ -212,20 +212,29 @@ def test_csv_rows_start_on_time_in_spite_of_rounding(tmp_path):
     ("text", "error", "message"),
     [
         (None, ControllerError, "cannot be read: No such file"),
-        ("", ControllerError, "is not a table of numbers"),
-        ("t,force\n", DimensionError, r"has 0 columns; expected 2 \(t, force\)"),
-        ("0,1,2\n", DimensionError, r"has 3 columns; expected 2 \(t, force\)"),
-        ("0\n", DimensionError, "has 1 columns"),
-        ("0,1\n0.1\n", ControllerError, "is not a table of numbers"),
-        ("0,1\n0.1,x\n", ControllerError, "is not a table of numbers: .*'x'"),
-        ("0,1\n0,2\n", ControllerError, "times in column 1 do not increase"),
-        ("1,1\n0,2\n", ControllerError, "times in column 1 do not increase"),
+        ("", ControllerError, "has no row of numbers"),
+        ("t,force\n", ControllerError, "has no row of numbers"),
+        ("0,1,2\n", DimensionError, r"row 1 has 3 columns; expected 2 \(t, force\)"),
+        ("0\n", DimensionError, "row 1 has 1 columns"),
+        ("t\n0,1\n", DimensionError, "row 1 has 1 columns"),
+        ("t,force\n0,1\n0.1\n", DimensionError, "row 3 has 1 columns"),
+        ("0,1\n0.1,x\n", ControllerError, "row 2: force is 'x'; use a finite number"),
+        ("x,1\n", ControllerError, "row 1: t is 'x'; use a finite number"),
+        ("t,force\n0,1\nnan,1\n", ControllerError, "row 3: t is 'nan'"),
+        ("0,1\n\n1,-inf\n", ControllerError, "row 3: force is '-inf'"),
+        ("0,1\n0,2\n", ControllerError, "row 2: t is 0 s after 0 s; the times must increase"),
+        ("1,1\n0,2\n", ControllerError, "row 2: t is 0 s after 1 s"),
+        ("force,t\n0,1\n", ControllerError, "row 1: column 1 is 'force'; expected 't'"),
+        ("a,t\n0,1\n", ControllerError, "row 1: column 2 is 't'; expected 'force'"),
+        ("0,1\n1," + "9" * 10**6, ControllerError, "row 2 cannot be read: field larger than"),
+        ("0,1\n1,\udc80\n", ControllerError, "is not UTF-8 text"),
+        ("0,1\n1," + "9" * 999, ControllerError, r"row 2: force is '9{30}\.\.\.'; use a finite"),
     ],
 )
 def test_csv_errors(text, error, message, tmp_path):
     path = tmp_path / "u.csv"
     if text is not None:
-        path.write_text(text)
+        path.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(error, match=message):
         build("cartpole", kind="csv", path=str(path))
 

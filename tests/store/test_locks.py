@@ -9,7 +9,8 @@ import pytest
 from estbench.errors import StoreError
 from estbench.experiment import setup
 from estbench.store import locks
-from estbench.store.zarr import STORE, Store
+from estbench.store.metadata import STORE
+from estbench.store.zarr import Store
 from tests.stores import run, same
 
 PARTIAL = "0123456789abcdef.partial"

@@ -11,7 +11,7 @@ from estbench.scenario.load import resolve
 from estbench.study import axes
 from estbench.study import run as running
 from estbench.study.design import Study
-from estbench.study.store import StudyStore, open_study
+from estbench.study.store import StudyStore, open_study, read_about
 
 SHORT = {"runs": 6, "duration": 0.3}
 
@@ -79,7 +79,8 @@ def test_a_store_has_the_keys_as_dimensions_and_is_gone_on_with(tmp_path, simula
     )
     assert tree["done"].values.all()
     # A writer that is killed leaves pieces that are not marked as done: here two of the six.
-    store = StudyStore.reopen(folder, made)
+    about = read_about(folder)
+    store = StudyStore(folder, made, about["sizes"], about["batch_size"])
     for piece in ((0, 1), (1, 2)):
         store._arrays["done"][store._where(piece)] = False
     simulations.clear()

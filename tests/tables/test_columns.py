@@ -43,9 +43,9 @@ def test_a_group_is_not_parted():
 
 
 def test_a_heading_is_narrow_only_where_that_saves_a_table():
-    cost = Column("µs/run-step", ("1", "2"), narrow="µs/run\n-step")
+    cost = Column("long heading", ("1", "2"), narrow="long\nheading")
     groups = (*numbers(2), (cost,))
-    full = len(NAME) + 2 * 10 + 2 + len("µs/run-step")
+    full = len(NAME) + 2 * 10 + 2 + len("long heading")
     (wide,), (narrow,) = fit(KEY, groups, full), fit(KEY, groups, full - 5)
     assert (wide[-1].heading, narrow[-1].heading) == (cost.heading, cost.narrow)
     assert [t[-1].heading for t in fit(KEY, groups, full - 6)] == ["c1", cost.heading]

@@ -17,7 +17,7 @@ from estbench.report import contact as stored_contact
 from estbench.report.sources import Entry, load
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
-from estbench.store.zarr import STORE
+from estbench.store.metadata import STORE
 
 
 @dataclass(frozen=True, eq=False)

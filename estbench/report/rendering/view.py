@@ -1,27 +1,19 @@
 """`estbench view`: the player in a browser (MuJoCo's web viewer on loopback) or in a window."""
 
-import socket
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from estbench.errors import EstbenchError
+from estbench.report.rendering import loopback
+from estbench.report.rendering.loopback import ViewError
 from estbench.report.rendering.player import COMMANDS, FRAME, KEYS, Player
 from estbench.report.rendering.render import find_camera
 from estbench.report.rendering.scene import add_belief, lit
 from estbench.report.rendering.window import Window
-
-LOOPBACK = "127.0.0.1"
-
-
-class ViewError(EstbenchError):
-    """The live view cannot be shown."""
 
 
 def watch(
@@ -144,7 +136,7 @@ def _page(player: Player, port: int) -> None:
     config = viewer_protocol.ViewerConfig(title="estbench view", gfx="web", http_port=port)
     config.open_browser = True
     passed = _clock()
-    with _loopback_only() as address:
+    with loopback.only() as address:
         try:
             with launch_web.launch(config, plugins=[Overlay()]) as handle:
                 data = mujoco.MjData(model)
@@ -157,48 +149,6 @@ def _page(player: Player, port: int) -> None:
         except RuntimeError as error:
             reason = " ".join(str(error).split())
             raise ViewError(f"the page cannot be served at {address}: {reason}") from None
-
-
-@contextmanager
-def _loopback_only() -> Iterator[str]:
-    """Make MuJoCo's web viewer listen on loopback only; by default it serves the whole network.
-
-    The viewer binds its port, announces it and listens later; until then another viewer can bind
-    the same port (`SO_REUSEADDR`). Therefore the socket listens as soon as it is bound.
-
-    Raises:
-        ViewError: the viewer of this MuJoCo cannot be restricted to loopback.
-    """
-    from mujoco.studio import web_viewer
-    from mujoco.studio.web import web_server
-
-    bind, banner = web_server.bind_public_socket, getattr(web_viewer, "_print_url_banner", None)
-    if banner is None:
-        raise ViewError("this MuJoCo's web viewer cannot be kept on loopback; use --window")
-
-    def announce(host: str, port: int) -> None:
-        print(f"estbench view: http://{LOOPBACK}:{port}/  (Ctrl-C ends it)")
-        for key, what in KEYS.items():
-            print(f"  {key:8} {what}")
-        sys.stdout.flush()
-
-    def listening(host: str, port: int = 0) -> socket.socket:
-        while True:
-            sock = bind(LOOPBACK, port)
-            try:
-                sock.listen()
-                return sock
-            except OSError:  # another viewer listens by now, and `bind` takes the next port
-                sock.close()
-
-    replaced: Any = web_server
-    replaced.bind_public_socket = listening
-    web_viewer._print_url_banner = announce
-    try:
-        yield LOOPBACK
-    finally:
-        replaced.bind_public_socket = bind
-        web_viewer._print_url_banner = banner
 
 
 def _imgui_keys(imgui: Any) -> dict[str, Any]:

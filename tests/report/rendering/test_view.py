@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
 import urllib.request
 
 import mujoco
@@ -12,7 +13,7 @@ import pytest
 
 from estbench.errors import EstbenchError
 from estbench.experiment import setup
-from estbench.report.rendering import player, replay, scene, view, window
+from estbench.report.rendering import loopback, player, replay, scene, view, window
 from estbench.report.rendering.player import Player, Settings
 
 DENSITY = "channels.encoder.noise_density=0.001"
@@ -135,7 +136,7 @@ def test_the_page_is_served_on_loopback_only(playing, capfd):
     bound = []
 
     def served():
-        with view._loopback_only():
+        with loopback.only():
             sock = web_server.bind_public_socket("::", 0)
             bound.append(sock.getsockname())
             sock.close()
@@ -162,7 +163,7 @@ def test_two_viewers_that_start_at_once_take_two_ports(monkeypatch):
         return sock
 
     monkeypatch.setattr(web_server, "bind_public_socket", overtaken)
-    with view._loopback_only():
+    with loopback.only():
         mine = web_server.bind_public_socket("::")
         port = others[0].getsockname()[1]
         assert mine.getsockname()[1] > port
@@ -170,6 +171,20 @@ def test_two_viewers_that_start_at_once_take_two_ports(monkeypatch):
             web_server.bind_public_socket("::", port)
     for sock in (mine, *others):
         sock.close()
+
+
+@pytest.mark.parametrize(
+    ("headers", "answered"),
+    [
+        ({"Host": "127.0.0.1:8080"}, True), ({"Host": "localhost"}, True),
+        ({"Host": "[::1]:80", "Origin": "http://localhost:8080"}, True), ({}, False),
+        ({"Host": "evil.example:8080"}, False), ({"Host": "127.0.0.1.evil.example"}, False),
+        ({"Host": "127.0.0.1", "Origin": "http://evil.example"}, False),
+        ({"Host": "127.0.0.1", "Origin": "null"}, False), ({"Host": "["}, False),
+    ],
+)  # fmt: skip
+def test_only_names_of_loopback_are_answered(headers, answered):
+    assert loopback.allowed(headers) == answered
 
 
 def fetch(url):
@@ -195,6 +210,10 @@ def test_the_page_answers(tmp_path):
         assert "http://127.0.0.1:" in line
         url = line.split()[2]
         assert b"<html" in fetch(url)
+        for path in ("", "state"):  # the page, and a websocket at the same port
+            named = urllib.request.Request(url + path, headers={"Host": "evil.example"})
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                fetch(named)
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 130
     finally:
