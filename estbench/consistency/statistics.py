@@ -244,7 +244,7 @@ COST = Statistic(
     unit="us/step",
     unit_key="us_per_run_step",
     form="number",
-    note="µs/step: of one core, per run and step",
+    note="µs/step: of one core, per run",
     all_runs=True,
     places=dict.fromkeys(EVERYWHERE, "brief"),
 )
