@@ -1,7 +1,7 @@
 """A matched EKF on every bundled scenario and example: `python -m benchmarks.matched`.
 
 The filter's model is the true one, with the sensor errors that it cannot know as states. It must be
-refuted nowhere, but for the scenarios of `EXEMPT`. Prints the table of docs/statistics.md.
+refuted nowhere, but for the scenarios of `EXEMPT`.
 """
 
 import argparse
