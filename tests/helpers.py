@@ -31,8 +31,9 @@ from estbench.spaces.manifold import Manifold
 SAMPLED = {"enkf", "pf"}  # their moments err by 1/sqrt(size)
 CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
 PEERS = {"filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"}  # slow, and optional
+LEGGED = {"contact_ekf", "contact_inekf", "gtsam_inekf"}  # they need a robot with legs
 OTHER = {"imm", "robust_ekf", "adaptive_ekf"}  # they depart from the Kalman filter on purpose
-ESTIMATORS = sorted(registry.BUILTIN.keys() - PEERS)
+ESTIMATORS = sorted(registry.BUILTIN.keys() - PEERS - LEGGED)
 DISCRETE = [name for name in ESTIMATORS if name not in CONTINUOUS]
 EXACT = [name for name in DISCRETE if name not in SAMPLED | OTHER]
 """Estimators that on a linear-Gaussian model are the Kalman filter."""

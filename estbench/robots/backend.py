@@ -3,6 +3,7 @@
 Another engine is one more class with these methods, and one more case in `create`.
 """
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import mujoco
@@ -89,6 +90,17 @@ class Backend(Protocol):
 
         q̇ of a ball or free joint is its body-frame angular velocity, as in the tangent space. The
         arguments are those of `step`.
+        """
+        ...
+
+    def frames(
+        self, x: Float[Array, "run nx"], fields: Sequence[str]
+    ) -> tuple[Float[Array, "run k 3"], ...]:
+        """Positions and axes at x, as copies: fields of `MjData` of three numbers per object.
+
+        Args:
+            x: states.
+            fields: of the position stage, such as `site_xpos` (m), `xanchor` (m), `xaxis`.
         """
         ...
 

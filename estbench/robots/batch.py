@@ -6,6 +6,7 @@ large, an engine error) is NaN in the result; MuJoCo itself would reset it witho
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import mujoco
@@ -198,6 +199,18 @@ class BatchBackend:
         if bad is not None:
             out[bad] = np.nan
         return out.reshape(*x.shape[:-1], out.shape[-1])
+
+    def frames(
+        self, x: Float[Array, "run nx"], fields: Sequence[str]
+    ) -> tuple[Float[Array, "run k 3"], ...]:
+        """See `Backend.frames`."""
+        batch, _, bad = self._load(x, np.zeros((len(x), self.model.nu)), 0.0, "velocity")
+        views = [batch.bind(name) for name in fields]
+        bad = self._run(batch, bad, 0, int(mujoco.mjtStage.mjSTAGE_POS))
+        out = tuple(view.copy() for view in views)
+        for values in out if bad is not None else ():
+            values[bad] = np.nan
+        return out
 
     def _load(
         self, x: Array, u: Array, t: float | Array, use: flags.Use

@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.models.differences import Differences
+from estbench.models.legged import Legs
 from estbench.models.protocol import Channels
-from estbench.robots import backend, given, layout
+from estbench.robots import backend, given, layout, legs
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
@@ -246,6 +248,20 @@ class MujocoModel:
         for block, scale in chosen.scales:
             R[block, block] = rescaled(R[block, block], scale(t))
         return R
+
+    @cached_property
+    def legs(self) -> Legs:
+        """See `models.legged.LeggedModel`.
+
+        Raises:
+            ScenarioError: the robot has no legs that a filter could use; see `robots.legs.find`.
+        """
+        sensors = {}
+        for channel in self.channels:
+            source = channel.measurand or Measurand.of_sensors(self.mjmodel, channel.index)
+            if len(source.sensors) == 1 and source.axes is None:
+                sensors[channel.name] = source.sensors[0]
+        return legs.find(self.mjmodel, sensors, [c.name for c in self.channels], self._backend)
 
     def steps(self, dt: float) -> int:
         """Number of physics steps in dt.

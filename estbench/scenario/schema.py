@@ -302,7 +302,7 @@ class ChannelSection(Section):
 class ControlSection(Section):
     """The controller of the robot; see `estbench.simulation.controllers`."""
 
-    kind: Literal["none", "constant", "sine", "random", "lqr", "csv", "user"] = "none"
+    kind: Literal["none", "constant", "sine", "random", "lqr", "periodic", "csv", "user"] = "none"
     observe: Literal["truth", "estimate", "reference"] = Field(
         "truth",
         description="what the controller sees: the true state, the estimate of each estimator "
@@ -316,11 +316,21 @@ class ControlSection(Section):
     value: PerName | None = Field(None, description="constant: control")
     amplitude: PerName = Field(0.0, description="sine: peak of each term")
     frequencies: list[Positive] = Field(default_factory=lambda: [0.5], description="sine: Hz")
-    offset: Literal["keyframe", "zero"] = Field("keyframe", description="sine, random: mean")
+    offset: Literal["keyframe", "zero"] = Field(
+        "keyframe", description="sine, random: mean; periodic: the control at the start"
+    )
     std: PerName = Field(0.0, description="random: standard deviation")
     time_constant: Duration = Field(0.2, description="random: s")
     state_weight: PerName = Field(1.0, description="lqr: diagonal of the state cost")
     control_weight: PerName = Field(1.0, description="lqr: diagonal of the control cost")
+    period: Positive | None = Field(None, description="periodic: s")
+    knots: dict[str, Annotated[list[float], Field(min_length=2)]] = Field(
+        default_factory=dict,
+        description="periodic: {pattern of controls: values at equal distances over one period}",
+    )
+    phase: PerName = Field(0.0, description="periodic: periods by which a control is ahead")
+    begin: NonNegative = Field(0.0, description="periodic: s before it, at the start's control")
+    ramp: NonNegative = Field(0.0, description="periodic: s from that control to the splines")
     path: str | None = Field(None, description="csv: columns t then one per actuator")
     function: str | None = Field(None, description="user: module:function(t, x) -> u")
 

@@ -21,6 +21,7 @@ from estbench.robots.layout import control_names
 from estbench.scenario.schema import ControlSection
 from estbench.shapes import Array, Float
 from estbench.simulation import control_file
+from estbench.simulation.periodic import Periodic
 from estbench.spaces.linalg import row_product
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
@@ -34,6 +35,7 @@ KINDS = {
     "sine": "`offset` + sum over `frequencies` (Hz) of `amplitude` sin(2πft + its phase)",
     "random": "`offset` + Gauss-Markov noise of `std` and `time_constant` (s)",
     "lqr": "regulate to the keyframe; `state_weight`, `control_weight` (scipy's DARE)",
+    "periodic": "a gait: cubic splines through `knots` over a `period` (s), ahead by `phase`",
     "csv": "columns t, then one per actuator, from `path`; held between rows",
     "user": "`function` = module:function(t, x) -> u, with x (run, nx) and u (run, nu)",
 }
@@ -97,6 +99,9 @@ def build(
     if section.kind == "lqr":
         gain = lqr_gain(plant, section)
         return lambda k, t, x: plant.u0 - row_product(plant.space.minus(x, plant.x0), gain)
+    if section.kind == "periodic":
+        gait = Periodic.build(section, names, centre)
+        return lambda k, t, x: np.broadcast_to(gait(t), shape)
     if section.kind == "csv":
         times, table = control_file.read(section.path, names)
         return lambda k, t, x: np.broadcast_to(
@@ -143,6 +148,8 @@ def clamped(section: ControlSection, plant: Plant) -> list[str]:
         peak = np.abs(expand(section.amplitude, names, "control.amplitude"))
         peak = peak * len(section.frequencies)
         least, most = centre - peak, centre + peak
+    elif section.kind == "periodic":
+        least, most = Periodic.build(section, names, centre).bounds()
     elif section.kind == "csv":
         _, table = control_file.read(section.path, names)
         least, most = table.min(axis=0), table.max(axis=0)

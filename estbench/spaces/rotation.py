@@ -112,12 +112,34 @@ def mean(
     return mean
 
 
+def matrix(q: Float[Array, "*any 4"]) -> Float[Array, "*any 3 3"]:
+    """The rotation matrix R of a unit quaternion: R v is v turned (Solà eq. 115)."""
+    x, y, z = q[..., 1], q[..., 2], q[..., 3]
+    double = 2.0 * q
+    ww, xx, yy, zz = (q[..., i] * q[..., i] for i in range(4))
+    xy, xz, yz = double[..., 1] * y, double[..., 1] * z, double[..., 2] * z
+    wx, wy, wz = (double[..., 0] * part for part in (x, y, z))
+    out = np.empty((*q.shape[:-1], 3, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = ww + xx - yy - zz, xy - wz, xz + wy
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = xy + wz, ww - xx + yy - zz, yz - wx
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = xz - wy, yz + wx, ww - xx - yy + zz
+    return out
+
+
+def from_matrix(R: Float[Array, "3 3"]) -> Float[Array, " 4"]:
+    """A unit quaternion of one rotation matrix: the largest eigenvector of Bar-Itzhack's K."""
+    K = np.empty((4, 4))
+    K[0, 0], K[1:, 1:] = np.trace(R), R + R.T - np.trace(R) * np.eye(3)
+    K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    return np.linalg.eigh(K)[1][:, -1]
+
+
 def skew(v: Float[Array, "*any 3"]) -> Float[Array, "*any 3 3"]:
     """The matrix S of the cross product: v × w = S w."""
-    x, y, z = np.moveaxis(v, -1, 0)
-    o = np.zeros_like(x)
-    rows = [np.stack(r, axis=-1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])]
-    return np.stack(rows, axis=-2)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 2, 1], out[..., 0, 2], out[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
+    out[..., 1, 2], out[..., 2, 0], out[..., 0, 1] = -v[..., 0], -v[..., 1], -v[..., 2]
+    return out
 
 
 def right_jacobian(phi: Float[Array, "*any 3"]) -> Float[Array, "*any 3 3"]:

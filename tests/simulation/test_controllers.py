@@ -38,6 +38,7 @@ def states(name, runs=3):
         ("cartpole", {"kind": "constant", "value": -50.0}, ["-50 on force, .* [-20, 20]: it is"]),
         ("cartpole", {"kind": "sine", "amplitude": 10, "frequencies": [1, 2]}, []),
         ("cartpole", {"kind": "sine", "amplitude": 11, "frequencies": [1, 2]}, ["22 on force"]),
+        ("cartpole", {"kind": "periodic", "period": 1.0, "knots": {"*": [0, 30]}}, ["30 on force"]),
         ("cartpole", {"kind": "none"}, []),
         (
             "quadrotor",
@@ -190,6 +191,47 @@ def test_lqr_that_cannot_be():
 
 
 # CSV
+
+
+GAIT = {"kind": "periodic", "period": 0.5, "knots": {"thrust*": [2.0, 3.0, 1.0, 2.5]}}
+
+
+def test_periodic_goes_through_its_knots_period_by_period_each_control_ahead_by_its_phase():
+    phase = {"thrust2": 0.25, "thrust3": 0.6}
+    controller = build("quadrotor", **GAIT, phase=phase, begin=0.2, ramp=0.1)
+    x, u0 = states("quadrotor"), plant("quadrotor").u0
+    np.testing.assert_array_equal(controller(0, 0.19, x), np.broadcast_to(u0, (3, 4)))
+    knots = np.array([2.0, 3.0, 1.0, 2.5])
+    for k in range(1, 9):
+        at = controller(0, 0.2 + 0.125 * k, x)
+        np.testing.assert_allclose(at[:, 0], knots[k % 4], atol=1e-9)
+        np.testing.assert_allclose(at[:, 1], knots[(k + 1) % 4], atol=1e-9)
+        np.testing.assert_allclose(at[0, 2], controller(0, 0.7 + 0.125 * k, x)[0, 2], atol=1e-9)
+    half = controller(0, 0.25, x)
+    whole = build("quadrotor", **GAIT, phase=phase, begin=0.2)(0, 0.25, x)
+    np.testing.assert_allclose(half, (u0 + whole) / 2, atol=1e-12)
+    # A closed spline: value and slope agree where the period ends.
+    ends = [controller(0, 0.7 + 0.5 * n + side, x)[0] for n in (0, 1) for side in (-1e-6, 1e-6)]
+    np.testing.assert_allclose(np.diff(ends[:2], axis=0), np.diff(ends[2:], axis=0), atol=1e-9)
+
+
+def test_a_control_without_knots_keeps_the_keyframes():
+    section = {**GAIT, "knots": {"thrust[12]": [0.0, 1.0], "thrust2": [3.0, 3.0]}}
+    u = build("quadrotor", **section)(0, 0.25, states("quadrotor"))
+    np.testing.assert_allclose(u[0], [1.0, 3.0, *plant("quadrotor").u0[2:]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"period": None}, "control.period is missing; periodic needs the period"),
+        ({"knots": {}}, "control.knots is missing"),
+        ({"knots": {"trust*": [1.0, 2.0]}}, r"control.knots: 'trust\*' matches no control"),
+    ],
+)
+def test_a_periodic_control_that_cannot_be(change, message):
+    with pytest.raises(ControllerError, match=message):
+        build("quadrotor", **{**GAIT, **change})
 
 
 @pytest.mark.parametrize("header", ["", "t,force\n", "\ufefft,force\n", "\ufeff"])

@@ -70,6 +70,13 @@ def test_normalize_does_not_hide_a_nan():
     np.testing.assert_array_equal(out[2], [1, 0, 0, 0])
 
 
+@given(quaternions)
+def test_matrix_is_scipys_and_from_matrix_inverts_it(q):
+    matrix = rotation.matrix(q)
+    np.testing.assert_allclose(matrix, scipy_rotation(q).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(rotation.matrix(rotation.from_matrix(matrix)), matrix, atol=1e-13)
+
+
 @given(vectors, vectors)
 def test_skew_is_the_cross_product(v, w):
     np.testing.assert_allclose(rotation.skew(v) @ w, np.cross(v, w), atol=1e-14)
