@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.models.legged import Legs
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Float, Int, Ints
 from estbench.spaces import rotation
 from estbench.spaces.linalg import identity
 from estbench.spaces.manifold import Manifold
@@ -117,7 +117,7 @@ class BaseState:
         R = rotation.matrix(m[:, :4]) @ self.legs.axes.T
         return R, ((imu[:, None, :3] - m[:, None, -6:-3]) @ self.legs.axes.T)[:, 0]
 
-    def _tangent(self) -> Array:
+    def _tangent(self) -> Int[Ints, " k"]:
         """Places of (δp, φ, δv, δω) in the tangent."""
         root, velocity = self.legs.root[1], self.legs.velocity[1]
         return np.r_[root : root + 6, velocity : velocity + 6]

@@ -6,6 +6,7 @@ encoders. Process noise of the base that the scenario has is added: the IMU does
 """
 
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -154,7 +155,8 @@ class ContactAided:
         F = self._transition(m, out, rate, force, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + self._noise(belief, out, F, u, t, dt))
         joints, joint_cov = joint_step(belief.joints, belief.joint_cov, self.joint_acceleration, dt)
-        return mark_failed(replace(belief, mean=out, cov=cov, joints=joints, joint_cov=joint_cov))
+        ahead = replace(belief, mean=out, cov=cov, joints=joints, joint_cov=joint_cov)
+        return cast(ContactBelief, mark_failed(ahead))
 
     def update(
         self,
@@ -186,7 +188,8 @@ class ContactAided:
         PHt = belief.cov @ H.mT
         c = correct(residual, symmetrize(H @ PHt + R), PHt, np.repeat(measured, 3, axis=1))
         cov = symmetrize(joseph(belief.cov, c.gain, H, R))
-        belief = mark_failed(self._plus(belief, c.delta, cov), c.fault)
+        corrected = mark_failed(self._plus(belief, c.delta, cov), c.fault)
+        belief = cast(ContactBelief, corrected)
         belief = self._placed(belief, s, noise, read.legs & ~measured)
         standing = np.where(read.legs, touching, belief.standing & touching)
         return replace(belief, standing=standing), self._readings.spread(c.innovation, channels, y)

@@ -1,6 +1,7 @@
 """Error-state EKF of IMU and leg kinematics with the feet in the state (Bloesch et al. 2012)."""
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -91,7 +92,7 @@ class ContactEKF(ContactAided):
     def _plus(
         self, belief: ContactBelief, delta: Float[Array, "run e"], cov: Float[Array, "run e e"]
     ) -> ContactBelief:
-        return apply_correction(self._space, belief, delta, cov)
+        return cast(ContactBelief, apply_correction(self._space, belief, delta, cov))
 
     def _own(
         self, m: Float[Array, "run k"], cov: Float[Array, "run e e"]

@@ -78,7 +78,7 @@ class FootReadings:
         imu, felt = self._taken(imu, names, 3, y, channels, mask)
         joints, came = self._taken(joints, self.legs.encoders, 1, y, channels, mask)
         whole = (came[:, None] | ~self.legs.moves).all(axis=-1)
-        return Read(imu, felt.all(axis=1), joints, came, whole)
+        return Read(imu, np.asarray(felt.all(axis=1)), joints, came, np.asarray(whole))
 
     def touching(
         self,

@@ -14,7 +14,7 @@ from estbench.errors import ScenarioError
 from estbench.models.legged import Legs
 from estbench.robots import layout
 from estbench.robots.backend import Backend
-from estbench.shapes import Array, Bool, Float, Mask
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 _FIELDS = ("site_xpos", "xanchor", "xaxis")
 
@@ -95,9 +95,9 @@ class _Kinematics:
     """The feet in the frame of the IMU, all runs in one call of the backend."""
 
     backend: Backend
-    joints: Array
+    joints: Int[Ints, " joint"]
     moves: Bool[Mask, "foot joint"]
-    sites: Array
+    sites: Int[Ints, " foot"]
     slides: Bool[Mask, " joint"]
     root: int
     offset: Float[Array, " 3"]

@@ -85,6 +85,13 @@ class VariedBackend:
         self._prepare(x)
         return self._inner.flow(x, u, t, force)
 
+    def frames(
+        self, x: Float[Array, "run nx"], fields: Sequence[str]
+    ) -> tuple[Float[Array, "run k 3"], ...]:
+        """See `Backend.frames`."""
+        self._prepare(x)
+        return self._inner.frames(x, fields)
+
     def vary(
         self, count: int, field: str, index: int | slice, values: Float[Array, "count ..."]
     ) -> None:

@@ -20,6 +20,8 @@ def test_each_run_has_its_own_parameters_at_every_point():
     assert isinstance(made, Backend)
     assert made.nx == x.shape[1]
     points = np.repeat(x[:, None], 4, axis=1)
+    for a, b in zip(*(e.frames(x, ("xanchor", "xaxis")) for e in (made, backend.create(model)))):
+        np.testing.assert_array_equal(a, b)
     found, ends = made.step(points, u, 0.0, 5), made.step(x, u, 0.0, 5)
     rates = made.flow(points, u, 0.0)
     for i, value in enumerate(mass):

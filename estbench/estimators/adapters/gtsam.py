@@ -2,7 +2,7 @@
 
 import importlib
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class GtsamInEKF(ContactEKF):
     ) -> GtsamBelief:
         """`predict` of GTSAM in each run."""
         if not belief.filters:
-            return replace(super().predict(belief, u, t, dt), dt=dt)
+            return replace(cast(GtsamBelief, super().predict(belief, u, t, dt)), dt=dt)
         self._check(belief)
         for one, reading in zip(belief.filters, belief.imu):
             one.predict(reading[:3], reading[3:], dt)
@@ -96,7 +96,8 @@ class GtsamInEKF(ContactEKF):
         mask: Bool[Mask, "run m"] | None = None,
     ) -> tuple[GtsamBelief, Innovation]:
         """`processContacts` of GTSAM in each run, with the feet that touch."""
-        ours, innovation = super().update(belief, y, u, t, channels, mask)
+        post, innovation = super().update(belief, y, u, t, channels, mask)
+        ours = cast(GtsamBelief, post)
         if not belief.filters:
             made = replace(ours, filters=self._made(ours, u, t))
             return made, innovation
@@ -168,7 +169,7 @@ class GtsamInEKF(ContactEKF):
         cov[:, :-6, :-6] = T @ cov[:, :-6, :-6] @ T.mT
         belief.latest[0][0] = belief.count + 1
         out = replace(belief, mean=mean, cov=symmetrize(cov), count=belief.count + 1)
-        return mark_failed(out)
+        return cast(GtsamBelief, mark_failed(out))
 
 
 def _tangent(m: Float[Array, "run k"], feet: int) -> Float[Array, "run e e"]:
