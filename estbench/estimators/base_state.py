@@ -47,7 +47,7 @@ class BaseState:
         position = mean[:, at : at + 3] + R @ legs.offset
         velocity = mean[:, v : v + 3] + (R @ _cross(rate, legs.offset)[..., None])[..., 0]
         base = [rotation.normalize(rotation.multiply(q, axes)), velocity, position]
-        force = -(legs.gravity @ R @ legs.axes)
+        force = -((legs.gravity @ R)[:, None] @ legs.axes)[:, 0]
         M = self._inward(R, rate)
         chosen = self._tangent()
         P = cov[:, chosen[:, None], chosen]

@@ -252,7 +252,10 @@ class ContactAided:
             A[which, at, ROTATION] = -(R @ rotation.skew(s[:, i]))[which]
             added[which, at, at] = (R @ noise[:, i] @ R.mT)[which]
         cov = A @ self._plain(belief.mean, belief.cov) @ A.mT + added
-        return replace(belief, mean=mean, cov=symmetrize(self._own(mean, cov)))
+        # A run without such a foot keeps its numbers to the bit, whatever the others do.
+        some = chosen.any(axis=1)[:, None, None]
+        cov = np.where(some, symmetrize(self._own(mean, cov)), belief.cov)
+        return replace(belief, mean=mean, cov=cov)
 
     def _transition(
         self,

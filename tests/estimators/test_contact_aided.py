@@ -387,3 +387,23 @@ def test_models_that_it_cannot_use(hover):
         registry.create("contact_ekf", {}, robot(blind))
     with pytest.raises(EstimatorError, match="sensors see the disturbance of the last interval"):
         registry.create("contact_ekf", {}, SeenNoise(robot(xml(), 0.01, "force")))
+
+
+@BOTH
+def test_a_run_does_not_depend_on_its_batch(kind, hover):
+    """To the bit, also where a foot is put down in another run only."""
+    estimator, u = kind(hover, **BIASED), np.zeros((3, 0))
+    belief = started(estimator, runs=3)
+    y = reading(belief.imu, np.full((3, 6), 0.01), np.full((3, 2), 99.0))
+    y[1, -1] = 0.0
+    alone = [
+        replace(belief, **{k: v[i : i + 1] for k, v in vars(belief).items()}) for i in range(3)
+    ]
+    for k in range(3):
+        belief, _ = estimator.update(estimator.predict(belief, u, k * DT, DT), y, u, k * DT + DT)
+        for i in range(3):
+            ahead = estimator.predict(alone[i], u[:1], k * DT, DT)
+            alone[i], _ = estimator.update(ahead, y[i : i + 1], u[:1], k * DT + DT)
+    for i in range(3):
+        np.testing.assert_array_equal(alone[i].mean[0], belief.mean[i])
+        np.testing.assert_array_equal(alone[i].cov[0], belief.cov[i])
