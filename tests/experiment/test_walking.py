@@ -1,8 +1,11 @@
 """The bundled robots with legs: they stand, walk and do not fall, and filters follow them."""
 
+import sys
+
 import numpy as np
 import pytest
 
+from benchmarks import legged
 from estbench.experiment import setup
 from estbench.experiment.recording import trajectory
 from estbench.montecarlo import run as experiment
@@ -39,3 +42,13 @@ def test_filters_of_legs_follow_it(robot):
         assert 0.5 < s.anees.value < 1.5
     first, second = (results[name].anees.value for name in names)
     np.testing.assert_allclose(first, second, rtol=0.1)
+
+
+def test_the_benchmark_prints_a_row_for_each(monkeypatch, capsys):
+    words = ["--runs", "2", "--duration", "0.02", "--robots", "biped", "--only", "contact_ekf"]
+    monkeypatch.setattr(sys, "argv", ["legged", *words])
+    legged.main()
+    title, head, _, *rows = capsys.readouterr().out.strip().splitlines()
+    assert title == "## biped, seed 1, 2 runs of 0.02 s"
+    assert [row.split("|")[1].strip() for row in rows] == ["`contact_ekf`"]
+    assert {row.count("|") for row in rows} == {head.count("|")}
