@@ -7,24 +7,23 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from estbench.errors import CovarianceError, DimensionError, ScenarioError
+from estbench.errors import ScenarioError
+from estbench.experiment.starts import default_std
 from estbench.robots import added_sensors as adding
 from estbench.robots import contacts, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import (
     AddSensor,
     ContactSection,
-    InitialSection,
     ProcessNoiseSection,
     Scenario,
 )
-from estbench.sensors import datasheet, schedules
+from estbench.sensors import schedules
 from estbench.sensors.channel import Channel
 from estbench.sensors.declared import expanded, is_open, lacks_sensors, names_expanded, usual
 from estbench.sensors.timing import Instant, MjcfTiming
 from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold
-from estbench.spaces.patterns import expand
 
 DEFAULT_DENSITY = 0.01
 
@@ -215,7 +214,7 @@ def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str])
         first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
         notices.append(f"no model.keyframe given; starting about {first}")
     if "initial" not in given:
-        notices.append(f"no [initial] given; assuming a std of {scenario.initial.std} everywhere")
+        notices.append(f"no [initial] given; assuming a std of {default_std(model)} everywhere")
     if "control" not in given:
         notices.append("no [control] given; holding the nominal control")
     if "simulation" not in given:
@@ -224,42 +223,6 @@ def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str])
             f"no [simulation] given; {simulation.runs} runs of {simulation.duration:g} s, "
             f"seed {simulation.seed}"
         )
-
-
-def initial(
-    section: InitialSection, model: mujoco.MjModel, space: Manifold, x0: Float[Array, " nx"]
-) -> tuple[Float[Array, " nx"], Float[Array, "n n"]]:
-    """x̂₀ and P₀.
-
-    Raises:
-        CovarianceError: P₀ is not positive semidefinite.
-        DimensionError: the count of values or the shape of P₀ is wrong.
-    """
-    mean = x0.copy()
-    blocks = {
-        "qpos": slice(0, model.nq),
-        "qvel": slice(model.nq, model.nq + model.nv),
-        "act": slice(model.nq + model.nv, None),
-    }
-    for name, block in blocks.items():
-        given = getattr(section, name)
-        if given is not None:
-            if len(given) != len(mean[block]):
-                raise DimensionError(
-                    f"initial.{name} has {len(given)} values; expected {len(mean[block])}"
-                )
-            mean[block] = given
-    mean = space.plus(mean, np.zeros(space.n))  # unit quaternions
-    if section.cov is None:
-        std = expand(section.std, space.names, "initial.std")
-        if not (std >= 0).all():
-            worst = int(std.argmin())
-            raise CovarianceError(
-                f"initial.std is {std[worst]:g} for {space.names[worst]}; use a std of at least 0, "
-                "0 for a coordinate that is known exactly (later patterns win)"
-            )
-        return mean, np.diag(std**2)
-    return mean, datasheet.matrix(section.cov, space, "initial.cov", "P₀", definite=False)
 
 
 def mjcf_timings(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MjcfTiming]:

@@ -33,9 +33,9 @@ from estbench.sensors.description import sight
 from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array, Float
 from estbench.simulation import controllers
+from estbench.simulation.initial import InitialStates
 from estbench.simulation.truth import Simulator
 from estbench.spaces.manifold import Manifold
-from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,8 @@ class Setup:
         disturbance: the true process noise.
         shared: what the estimators believe of the robot, by the scenario's `[filter]`.
         believed: label -> what that estimator believes.
-        mean, cov: x̂₀ and P₀.
+        initial: how the true states at the start are drawn.
+        mean, cov: x̂₀ and P₀, the moments of these draws.
         notices: assumptions where the scenario says nothing.
         reference: the experiment of the estimator whose estimate the controller sees, with the
             label `estbench.scenario.reference.LABEL`; None where it sees something else.
@@ -63,6 +64,7 @@ class Setup:
     disturbance: Disturbance
     shared: Believed
     believed: Mapping[str, Believed]
+    initial: InitialStates
     mean: Float[Array, " nx"]
     cov: Float[Array, "n n"]
     notices: tuple[str, ...]
@@ -245,14 +247,13 @@ class Setup:
         timed: bool = False,
     ) -> Simulator:
         """The true robot in many rows; see `Simulator`."""
-        factor = psd_root(self.cov)
         return Simulator(
             self.plant.model,
             self.space,
             self.channels,
             self.schedule,
             self.disturbance,
-            (self.mean, factor),
+            self.initial,
             self.scenario.truth.draw,
             rows,
             instants,

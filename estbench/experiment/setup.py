@@ -19,7 +19,7 @@ from estbench.estimators.of_state import OfState
 from estbench.estimators.protocol import ScheduleCheck
 from estbench.experiment import believed as believing
 from estbench.experiment import build as resolution
-from estbench.experiment import size
+from estbench.experiment import size, starts
 from estbench.experiment.prepared import Setup
 from estbench.experiment.trial import try_estimator
 from estbench.inference import initialization as starting
@@ -75,7 +75,7 @@ def build(scenario: Scenario) -> Setup:
     truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)
     notices += resolution.rest_mocap(truth, section.keyframe)
-    mean, cov = resolution.initial(scenario.initial, truth, space, x0)
+    initial, mean, cov = starts.build(scenario, truth, space, x0, notices)
     instants = timing.instants(
         [(c.name, c.timing) for c in channels], truth.opt.timestep, section.frame_skip, duration
     )
@@ -107,6 +107,7 @@ def build(scenario: Scenario) -> Setup:
         disturbance=disturbance,
         shared=believing.build(scenario, belief, truth, channels, instants, disturbance),
         believed={},
+        initial=initial,
         mean=mean,
         cov=cov,
         notices=tuple(notices),

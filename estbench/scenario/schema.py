@@ -174,8 +174,17 @@ class InitialSection(Section):
     qpos: list[Number] | None = None
     qvel: list[Number] | None = None
     act: list[Number] | None = None
-    std: PerName = Field(0.05, description="per tangent coordinate, in its unit")
+    std: PerName = Field(
+        0.05,
+        description="per tangent coordinate, in its unit; default 0.005 with equality constraints",
+    )
     cov: Covariance | None = Field(None, description="full P₀ in place of std")
+    constraints: Literal["auto", "none", "equality", "all"] = Field(
+        "auto",
+        description="what states at the start are projected to, and P₀ with them: equality "
+        "constraints; all: out of contacts deeper than 1 cm too; auto: all if neither std nor cov "
+        "is given, else equality",
+    )
 
 
 class StartSection(Section):

@@ -18,7 +18,7 @@ from estbench.sensors.sampling import Delivery
 from estbench.sensors.suite import SensorSuite
 from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array, Float, Int, Ints
-from estbench.spaces.linalg import row_product
+from estbench.simulation.initial import InitialStates
 from estbench.spaces.manifold import Manifold
 
 
@@ -34,7 +34,7 @@ class Simulator:
         channels: sensors in use.
         schedule: the instants of an episode.
         disturbance: the true process noise.
-        initial: mean `(nx,)` and Cholesky factor of P₀ `(n, n)`.
+        initial: how the states at the start are drawn.
         draws: model parameters drawn once per run.
         rows: how many robots.
         instants: all instants of an episode, where it has an end.
@@ -56,7 +56,7 @@ class Simulator:
         channels: Sequence[Channel],
         schedule: Schedule,
         disturbance: Disturbance,
-        initial: tuple[Float[Array, " nx"], Float[Array, "n n"]],
+        initial: InitialStates,
         draws: Mapping[str, Draw],
         rows: int,
         instants: Sequence[Instant] | None = None,
@@ -67,7 +67,7 @@ class Simulator:
     ):
         self._model, self._space, self._disturbance = model, space, disturbance
         self._seen = seen
-        self._mean, self._factor = initial
+        self._initial = initial.sampler(model, space)
         self._backend, self._range = backend.create(model, nthread), ControlRange.of(model)
         self.clocks = Clocks(rows, schedule, timed)
         count = BLOCK if instants is None else len(instants)
@@ -82,7 +82,7 @@ class Simulator:
             key: np.repeat(np.asarray(getattr(model, field)[index])[None], rows, axis=0)
             for key, (_, field, index) in self._draws.items()
         }
-        self.x = np.repeat(self._mean[None], rows, axis=0)
+        self.x = np.repeat(initial.mean[None], rows, axis=0)
 
     def start(
         self,
@@ -91,7 +91,7 @@ class Simulator:
         runs: Sequence[int],
         u: Float[Array, "row nu"],
     ) -> None:
-        """Begin episodes in some rows: x₀ ~ N(x̂₀, P₀), and parameters are drawn.
+        """Begin episodes in some rows: x₀ and parameters are drawn.
 
         Args:
             rows: their numbers.
@@ -100,9 +100,8 @@ class Simulator:
             u: controls of all rows before the first step `(row, nu)`.
         """
         white = streams.normals(seed, runs, "initial", 1, self._space.n)[0]
-        x0 = self._space.plus(self._mean, row_product(white, self._factor))
         self.x = self.x.copy()  # the last may be recorded
-        self.x[rows] = x0
+        self.x[rows] = self._initial(white)
         self._process.start(rows, seed, runs)
         for key, (draw, field, index) in self._draws.items():
             spread = draw.relative_std, draw.std

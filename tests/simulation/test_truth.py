@@ -23,6 +23,7 @@ from estbench.sensors.sampling import divided
 from estbench.sensors.timing import Instant
 from estbench.shapes import Array
 from estbench.simulation import sources, truth
+from estbench.simulation.initial import InitialStates
 from estbench.spaces.manifold import Manifold
 from tests.helpers import Fleet, random_states, zoo_model
 
@@ -53,7 +54,7 @@ def build(name, kind="additive", density=0.0, runs=range(3), spread=0.1, frame_s
     instants = timing.instants(timings, dt, frame_skip, steps * frame_skip * dt)
     mean = random_states(model, 1, seed=1, scale=0.2)[0][0]
     disturbance = Disturbance.build(model, space, kind, density)
-    initial = (mean, spread * np.eye(space.n))
+    initial = InitialStates(mean, spread * np.eye(space.n))
     simulator = truth.Simulator(
         model, space, channels, timing.Schedule(timings, dt, frame_skip), disturbance, initial,
         draws, len(runs), instants,
