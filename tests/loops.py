@@ -1,6 +1,7 @@
 """Robots with equality constraints of each type."""
 
-_HEAD = """<mujoco><option timestep="0.002"/><default><equality solref=".005 1" solimp=".95 .99 .001"/>
+_HEAD = """<mujoco><option timestep="0.002"/><default>
+<equality solref=".005 1" solimp=".95 .99 .001"/>
 <geom contype="0" conaffinity="0" type="capsule" size=".005" mass=".01"/>
 <joint axis="0 1 0" damping=".001"/></default>"""
 
@@ -26,7 +27,8 @@ WELD = f"""{_HEAD}<worldbody>
 TENDON = f"""{_HEAD}<worldbody>
 <body><joint name="near"/><geom fromto="0 0 0 0 0 -.1"/>
  <body pos="0 0 -.1"><joint name="far"/><geom fromto="0 0 0 0 0 -.1"/></body></body></worldbody>
-<tendon><fixed name="belt"><joint joint="near" coef="1"/><joint joint="far" coef="2"/></fixed></tendon>
+<tendon><fixed name="belt">
+<joint joint="near" coef="1"/><joint joint="far" coef="2"/></fixed></tendon>
 <equality><tendon tendon1="belt"/></equality></mujoco>"""
 
 LOOPS = {"four_bar": FOUR_BAR, "coupled": COUPLED, "weld": WELD, "tendon": TENDON}

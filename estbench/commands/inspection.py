@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estbench.errors import EstbenchError, ScenarioError
-from estbench.experiment import setup
-from estbench.models import observability
+from estbench.experiment import setup, unseen
 from estbench.robots import mjcf
 from estbench.scenario import code
 from estbench.scenario.reference import seen
@@ -143,10 +142,7 @@ def _warnings(prepared: setup.Setup) -> list[str]:
             warnings.append(
                 f"sensor '{sensor.name}' interpolates its history: estbench delivers the samples"
             )
-    hidden = observability.unseen(
-        prepared.model(), prepared.mean, prepared.plant.u0, prepared.plant.period,
-        np.sqrt(np.diag(prepared.cov)),
-    )  # fmt: skip
+    hidden = unseen.notice(prepared)
     if hidden:
-        warnings.append(f"no sensor can see {', '.join(hidden)} (linearized at the initial state)")
+        warnings.append(hidden)
     return warnings

@@ -88,6 +88,8 @@ def progress(total: int) -> Iterator[Callable[[int, int], None]]:
         now = time.monotonic()
         if now - last >= 10 or (done == total and now - began > 2):
             last = now
-            say(f"{done}/{total} runs, {now - began:.0f} s")
+            rest = (now - began) * (total - done) / max(done, 1)
+            left = f", about {rest:.0f} s left" if done < total else ""
+            say(f"{done}/{total} runs, {now - began:.0f} s{left}")
 
     yield line

@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.experiment import build as resolution
-from estbench.robots import given, layout, mjcf, parameters
+from estbench.robots import flags, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance, axis_names
 from estbench.robots.measurement import Measurand
 from estbench.robots.model import Scale, SensorChannel, whole_steps
@@ -74,6 +74,9 @@ def build(
         base = like.base
     else:
         base = _compiled(scenario, section, truth, where)
+        used = {name for channel in channels for name in channel.sensors}
+        names = [layout.sensor_name(base, i) for i in range(base.nsensor)]
+        flags.leave_out_sensors(base, {i for i, name in enumerate(names) if name in used})
         for dt in {round(i.end - i.start, 12) for i in instants}:
             whole_steps(dt, base.opt.timestep, f"{where}.timestep: an interval of")
     robot = parameters.changed(base, section.set, f"{where}.set")

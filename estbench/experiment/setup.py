@@ -71,6 +71,7 @@ def build(scenario: Scenario) -> Setup:
     if undeclared:
         used = kit.summary([c for c in channels if c.name in undeclared])
         notices.append(f"no sensor declared; using {used} (sensors = [] for none)")
+    flags.leave_out_sensors(truth, {i for c in channels for i in c.measurand.sensors})
     # MuJoCo would saturate the true reading, before the noise; a sensor does so after it.
     truth.sensor_cutoff[np.isfinite(sensors.mjcf_cutoff(truth))] = 0.0
     x0, u0 = mjcf.keyframe(truth, section.keyframe)

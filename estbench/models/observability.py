@@ -6,6 +6,9 @@ from estbench.errors import ScenarioError
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
 
+_EXACT = 1e-12
+"""Variance, (unit)², that stands for that of a reading without noise."""
+
 
 def unseen(
     model: Model,
@@ -36,7 +39,8 @@ def unseen(
     _, F = model.transition_jacobian(xs, us, 0.0, dt)
     _, H = model.measurement_jacobian(xs, us, 0.0)
     R = model.measurement_noise(0.0)
-    white = np.linalg.solve(np.linalg.cholesky(R), H[0] * scale)
+    exact = np.diag(np.where(np.diagonal(R) > 0, 0.0, _EXACT))
+    white = np.linalg.solve(np.linalg.cholesky(R + exact), H[0] * scale)
     step = F[0] * scale / scale[:, None]
     if not (np.isfinite(white).all() and np.isfinite(step).all()):
         raise ScenarioError("the model's Jacobians at the nominal state are not finite")

@@ -14,6 +14,8 @@ from estbench.inference.traces import Traces
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""
+WORKING_BYTES = 2**30
+"""Memory that the computation of one instant of a batch may take."""
 TRACES_BYTES = 2**30
 """Traces of a whole experiment above which they are stored only when asked for."""
 
@@ -42,12 +44,15 @@ def default_keep(prepared: setup.Setup, dtype: str = "float64") -> str:
 
 
 def default_batch_size(prepared: setup.Setup, keep: str) -> int:
-    """Runs per batch: what fits `BATCH_BYTES`, at most 250 (caches), else a quarter of the runs.
+    """Runs per batch: what fits the memory, at most 250 (caches), else a quarter of the runs.
+
+    The memory is `BATCH_BYTES` of traces and `WORKING_BYTES` of an instant.
 
     It does not depend on the machine, so neither do the results, to the last bit.
     """
     runs = prepared.scenario.simulation.runs
     most = BATCH_BYTES // run_bytes(prepared, keep)
+    most = min(most, WORKING_BYTES // working_bytes(prepared))
     return int(np.clip(most, 1, min(250, max(10, -(-runs // 4)))))
 
 
@@ -58,6 +63,12 @@ def run_bytes(prepared: setup.Setup, keep: str) -> int:
     if keep == "full":
         a_step += space.n**2 + m + m**2
     return 8 * a_step * len(prepared.times) * max(1, len(prepared.scenario.estimators))
+
+
+def working_bytes(prepared: setup.Setup) -> int:
+    """Memory of one instant of one run: covariances, their factors, and points about the mean."""
+    space, m = prepared.space, len(readings(prepared.channel_spaces))
+    return 8 * (4 * m**2 + 8 * space.n**2 + (2 * space.n + 1) * (space.nx + m))
 
 
 def run_batch(

@@ -9,8 +9,9 @@ from estbench.consistency.fields import Record
 from estbench.consistency.records import merge
 from estbench.consistency.summary import summarize
 from estbench.errors import ExecutorError, Interrupted, StoreError
+from estbench.experiment import unseen
 from estbench.experiment.setup import Setup, build
-from estbench.montecarlo import batch, dispatch, executors
+from estbench.montecarlo import batch, dispatch, executors, forecast
 from estbench.montecarlo.dispatch import Progress
 from estbench.montecarlo.pool import Pool
 from estbench.montecarlo.results import Results
@@ -63,7 +64,8 @@ def run(
             as the memory allows.
         batch_size: runs per batch; default by memory. It does not change the results.
         progress: called after each batch.
-        say: called with the warning about a store that was begun with other versions.
+        say: called with what matters before the runs are computed: that they will take long, and
+            that a store was begun with other versions.
 
     Returns:
         The results; `print` shows the tables. After Ctrl-C, the results of the finished runs.
@@ -77,14 +79,20 @@ def run(
     prepared = build(resolved)
     level, notices = _level(prepared, keep, stored, out is not None)
     size = batch_size or batch.default_batch_size(prepared, level)
-    using = _pool(prepared, executor, address, workers, size * batch.run_bytes(prepared, level))
+    a_run = batch.run_bytes(prepared, level) + batch.working_bytes(prepared)
+    using = _pool(prepared, executor, address, workers, size * a_run)
+    hidden = unseen.notice(prepared)
+    blind = [hidden] if hidden else []
+    if say is not None:
+        for line in forecast.lines(prepared, size, level, using.workers, hidden):
+            say(line)
     if out is None:
         count = resolved.simulation.runs
         batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
         done, failed, interrupted = dispatch.compute(
             prepared, dict(enumerate(batches)), level, using, None, {}, progress
         )
-        return _collect(prepared, batches, done, failed, None, interrupted)
+        return _collect(prepared, batches, done, failed, None, interrupted, blind)
     target = _open(Path(out), prepared, level, size, stored, resume, shard)
     for name, was, value in (("keep", target.keep, keep), ("dtype", target.dtype, dtype)):
         if value not in ("auto", None, was):
@@ -112,6 +120,7 @@ def run(
     return _collect(
         prepared, target.batches, done, failed, target, interrupted,
         [
+            *blind,
             *(notices if target.keep == level else ()),
             *([mixed] if mixed else ()),
             *(f"{name} was damaged and has been written again" for name in target.restored),

@@ -90,10 +90,11 @@ def compile_model(
         spec = spec.copy()
         for sensor in spec.sensors:
             sensor.nsample, sensor.delay, sensor.interval = 0, 0.0, [0.0, 0.0]
-        for actuator in spec.actuators:
+        for i, actuator in enumerate(spec.actuators):
             if actuator.nsample > 0:
+                name = actuator.name or f"actuator{i}"
                 raise ScenarioError(
-                    f"actuator '{actuator.name}' has nsample={actuator.nsample}: its delay is a "
+                    f"actuator '{name}' has nsample={actuator.nsample}: its delay is a "
                     "hidden state that no estimator sees; remove nsample and delay from the MJCF"
                 )
         model = spec.compile()

@@ -9,7 +9,8 @@ from estbench.robots.layout import state_space
 from tests.loops import LOOPS
 
 BOXES = """<mujoco><worldbody><geom type="plane" size="2 2 .1"/>
-<body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body></worldbody></mujoco>"""
+<body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+</worldbody></mujoco>"""
 
 
 def states(model, count, std, seed=0):

@@ -1,3 +1,5 @@
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -56,3 +58,23 @@ def test_the_reduced_copy_leaves_out_only_what_does_nothing():
     assert left_out(ball.format("", "", floor)) == 0
     assert left_out(ball.format('range="-1 1" limited="true"', alone, "")) == bits.mjDSBL_CONTACT
     assert left_out(ball.format('frictionloss="1"', alone, "")) == bits.mjDSBL_CONTACT
+
+
+def test_a_sensor_that_is_not_in_use_is_not_computed():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint name='j' axis='0 1 0'/><geom size='.1' pos='.3 0 0'/>"
+        "<site name='s'/></body></worldbody><sensor><gyro site='s'/><accelerometer site='s'/>"
+        "<velocimeter site='s'/></sensor></mujoco>"
+    )
+    spared = copy.copy(model)
+    flags.leave_out_sensors(spared, {1})
+    readings = []
+    for m in (model, spared):
+        data = mujoco.MjData(m)
+        data.qvel[:] = 1.0
+        mujoco.mj_forward(m, data)
+        readings.append(data.sensordata.copy())
+    assert readings[0][:3].any()
+    np.testing.assert_array_equal(readings[1][3:6], readings[0][3:6])
+    assert not readings[1][:3].any()
+    assert not readings[1][6:].any()

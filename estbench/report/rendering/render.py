@@ -8,7 +8,6 @@ import struct
 import sys
 import weakref
 import zlib
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -108,8 +107,8 @@ def _free(gl: Any, mjr: mujoco.MjrContext) -> None:
 def context(width: int, height: int) -> Any:
     """An OpenGL context that needs no display, with `make_current()` and `free()`.
 
-    `MUJOCO_GL` chooses the library; without it EGL is used if there is a graphics card, then
-    OSMesa, then EGL.
+    `MUJOCO_GL` chooses the library; without it EGL is used where it finds a device, in software
+    too, else OSMesa: torch that is imported after OSMesa's library crashes the process.
 
     Raises:
         RenderError: no library works; the message says what to install.
@@ -181,10 +180,9 @@ def _candidates() -> list[str]:
     fixed = os.environ.get("PYOPENGL_PLATFORM") if "OpenGL" in sys.modules else None
     if fixed in ("osmesa", "egl"):
         return [fixed]
-    card = any(Path("/dev/dri").glob("renderD*")) or Path("/dev/nvidiactl").exists()
-    egl = ["egl"] if _egl_display() else []
-    osmesa = ["osmesa"] if ctypes.util.find_library("OSMesa") else []
-    return (egl + osmesa if card else osmesa + egl)[:1]
+    if _egl_display():
+        return ["egl"]
+    return ["osmesa"] if ctypes.util.find_library("OSMesa") else []
 
 
 def _egl_display() -> bool:

@@ -1,0 +1,135 @@
+"""What a computation will take, found before it begins: time and memory."""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estbench.bounds import scenario as bounds
+from estbench.errors import EstbenchError
+from estbench.experiment.prepared import Setup
+from estbench.montecarlo import batch, executors
+
+LONG = 60.0
+"""Seconds from which a computation is worth a line."""
+LARGE = 4 * 2**30
+"""Bytes from which its memory is."""
+_SHORT = 5_000_000
+"""Evaluations of the model below which a run is short on any machine; nothing is measured then."""
+_WIDE = 500
+"""Values of one measurement from which the factorization of S dominates."""
+_INSTANTS = 2, 6
+_RUNS = 1, 8
+"""Two counts each, whose difference leaves out what is done once."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Time and memory of a computation.
+
+    Attributes:
+        seconds: of all batches.
+        step: seconds of one step of one run, over all estimators.
+        memory: bytes that the workers take together.
+    """
+
+    seconds: float
+    step: float
+    memory: int
+
+    @property
+    def line(self) -> str:
+        """One line if it takes long or much memory, else empty."""
+        if self.seconds < LONG and self.memory < LARGE:
+            return ""
+        return (
+            f"this will take about {_duration(self.seconds)} ({1e3 * self.step:.2g} ms per run and "
+            f"step) and {self.memory / 2**30:.2g} GiB; fewer runs, a shorter duration or fewer "
+            "estimators cost less"
+        )
+
+
+def lines(prepared: Setup, size: int, keep: str, workers: int, hidden: str = "") -> list[str]:
+    """What to say before the runs of an experiment that takes long are computed.
+
+    Args:
+        prepared: the experiment.
+        size: runs of one batch.
+        keep: what is stored of each.
+        workers: threads or processes.
+        hidden: what no sensor sees, which is worth a line then.
+    """
+    runs = prepared.scenario.simulation.runs
+    found = forecast(prepared, runs, size, keep, min(workers, executors.cpu_count()))
+    out = [*wide_channels(prepared), *([found.line] if found and found.line else [])]
+    return [*out, *([hidden] if out and hidden else [])]
+
+
+def wide_channels(prepared: Setup) -> list[str]:
+    """One line for each channel of so many values that it decides what an update costs."""
+    return [
+        f"{name} has {space.n} values: each update factorizes a {space.n} x {space.n} S, "
+        f"{_duration(_factorization(space.n))} in each run; sensors = [...] leaves it out"
+        for name, space in prepared.channel_spaces.items()
+        if space.n >= _WIDE
+    ]
+
+
+def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> Forecast | None:
+    """Measure the first steps of a few runs, and extrapolate; None for what is short anyway.
+
+    Args:
+        prepared: the experiment.
+        runs: how many are to be computed.
+        size: runs of one batch.
+        keep: what is stored of each.
+        workers: threads or processes, at most one per CPU counts.
+    """
+    steps, count = len(prepared.instants), max(1, len(prepared.scenario.estimators))
+    a_run = 3 * batch.run_bytes(prepared, keep) + batch.working_bytes(prepared)
+    memory = min(workers, -(-runs // size)) * size * a_run
+    width = max(space.n for space in prepared.channel_spaces.values())
+    if width >= _WIDE:
+        step = count * _factorization(width)
+        return Forecast(runs * steps * step / workers, step, memory)
+    if runs * steps * count * (2 * prepared.space.n + 1) < _SHORT:
+        return None if memory < LARGE else Forecast(0.0, 0.0, memory)
+    try:
+        _seconds(prepared, _RUNS[0], _INSTANTS[0])  # what is done once in a process
+        one, more = (_step(prepared, rows) for rows in _RUNS)
+    except EstbenchError:  # told when the runs are computed
+        return None
+    each = max(more - one, 0.0) / (_RUNS[1] - _RUNS[0])
+    step = max(one - each, 0.0) / size + each
+    return Forecast(runs * steps * step / workers, step, memory)
+
+
+def _step(prepared: Setup, rows: int) -> float:
+    """Seconds of one instant of so many runs."""
+    few, more = (_seconds(prepared, rows, count) for count in _INSTANTS)
+    return max(more - few, 0.0) / (_INSTANTS[1] - _INSTANTS[0])
+
+
+def _seconds(prepared: Setup, rows: int, instants: int) -> float:
+    """CPU time of the first instants of some runs."""
+    short = replace(prepared, instants=prepared.instants[:instants])
+    began = time.process_time()
+    for _ in batch.traced(short, range(rows), bounded=bounds.wanted(prepared)):
+        pass
+    return time.process_time() - began
+
+
+def _factorization(m: int) -> float:
+    """Seconds of an update of m values: some six Cholesky factorizations, of m³/3 each."""
+    few, taken = np.eye(200), []
+    for _ in range(5):
+        began = time.process_time()
+        np.linalg.cholesky(few)
+        taken.append(time.process_time() - began)
+    return 6 * min(taken) * (m / len(few)) ** 3
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
