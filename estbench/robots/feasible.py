@@ -77,6 +77,12 @@ class Feasible:
                 left[left] = ~converged
         return out if self._velocities is None else self._along(out)
 
+    def close(self) -> None:
+        """Release the backends."""
+        for engine in (self._all, self._equalities, self._velocities):
+            if engine is not None:
+                engine.close()
+
     def resolves_contacts(self, x: Float[Array, "row nx"]) -> Bool[Mask, " row"]:
         """Whether all constraints can be met near these states, the contacts among them."""
         if self._all is None:

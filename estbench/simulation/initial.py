@@ -47,9 +47,21 @@ class InitialStates:
             feasible = Feasible(model, space, contacts=True)
             if not feasible.resolves_contacts(mean[None]).all():
                 constraints = "equality" if has_equalities(model) else "none"
+            feasible.close()
         made = cls(mean, psd_root(cov), constraints)
-        zero = np.zeros((1, space.n))
-        return replace(made, mean=made.sampler(model, space)(zero)[0])
+        if constraints == "none":
+            return made
+        return replace(made, mean=made.drawn(model, space, np.zeros((1, space.n)))[0])
+
+    def drawn(
+        self, model: mujoco.MjModel, space: Manifold, white: Float[Array, "row n"]
+    ) -> Float[Array, "row nx"]:
+        """States from standard normals."""
+        sampler = self.sampler(model, space)
+        try:
+            return sampler(white)
+        finally:
+            sampler.close()
 
     def sampler(self, model: mujoco.MjModel, space: Manifold) -> "Sampler":
         """What draws them; not to be shared between threads."""
@@ -71,7 +83,7 @@ class InitialStates:
         if self.constraints == "none":
             return self.mean, cov
         white = _exact_normals(max(_DRAWS, 4 * space.n), space.n)
-        x = self.sampler(model, space)(white)
+        x = self.drawn(model, space, white)
         if np.array_equal(x, space.plus(self.mean, row_product(white, self.factor))):
             return self.mean, cov
         weights = np.full(len(x), 1.0 / len(x))
@@ -93,6 +105,11 @@ class Sampler:
         """x̂₀ ⊞ S w with S Sᵀ = P₀, moved to meet the constraints."""
         x = self.space.plus(self.mean, row_product(white, self.factor))
         return x if self.feasible is None else self.feasible.project(x)
+
+    def close(self) -> None:
+        """Release the backends."""
+        if self.feasible is not None:
+            self.feasible.close()
 
 
 def _exact_normals(count: int, n: int) -> Float[Array, "count n"]:

@@ -112,7 +112,8 @@ class Simulator:
         self.suite.start(rows, seed, runs, self.clocks.tick, self.x, u)
 
     def close(self) -> None:
-        """Release the backend."""
+        """Release the backends."""
+        self._initial.close()
         self._backend.close()
 
     def advance(self, event: Event, u: Float[Array, "row nu"]) -> list[Delivery]:
