@@ -1,3 +1,8 @@
+import os
+
+# Threads of BLAS would compete with the tests that run beside this one.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 

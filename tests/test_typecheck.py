@@ -36,7 +36,7 @@ def test_a_wrong_result_is_found():
         square(np.zeros(2))
 
 
-def test_the_first_calls_of_every_test_are_checked():
+def test_the_first_calls_of_every_test_function_are_checked():
     @typecheck.checked
     def same(x: Float[Array, " n"]) -> Float[Array, " n"]:
         return x
@@ -44,7 +44,7 @@ def test_the_first_calls_of_every_test_are_checked():
     for _ in range(typecheck.CALLS):
         same(np.zeros(2))
     same(np.zeros((2, 2)))
-    typecheck.begin_test()
+    typecheck.begin_test("another")
     with pytest.raises(BeartypeDoorHintViolation):
         same(np.zeros((2, 2)))
 

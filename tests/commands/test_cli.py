@@ -171,7 +171,8 @@ def test_check_of_the_bundled_scenarios(name, call, folder):
     code, out, err = call("check", name)
     assert (code, err) == (0, "")
     assert out.startswith(f"{name}: ")
-    assert "warning" not in out
+    unseen = "warning: no sensor can see root.x, root.y " if "periodic" in out else None
+    assert "warning" not in (out if unseen is None else out.replace(unseen, ""))
     assert contents(folder) == before
 
 
@@ -182,7 +183,7 @@ def test_check_shows_states_sensors_and_rates(call):
     lines = {line.split()[1]: line for line in out.splitlines() if line.startswith("│")}
     assert "25 Hz" in lines["pole_encoder"]
     assert "100 Hz" in lines["cart_encoder"]
-    assert "0.01 (rad/s)²/s" in lines["pole.vel"]
+    assert "0.01 rad²/s³" in lines["pole.vel"]
     assert "0.25" in lines["pole"]
 
 
@@ -544,7 +545,9 @@ def test_ctrl_c(folder):
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, said(err)) == (130, "")
+    forecast = re.fullmatch(r"(note: this will take about .*\n)?", said(err))
+    assert process.returncode == 130
+    assert forecast, err
     assert "interrupted" in out
     with estbench.open_results("x") as tree:
         done = tree["done"].to_numpy()

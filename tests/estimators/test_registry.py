@@ -204,7 +204,10 @@ def documented():
     described, settings = set(), []
     for line in page.splitlines():
         if line.startswith("| `"):
-            first, second, third, *_ = (cell.strip() for cell in line.strip("|").split("|"))
+            first, *rest = (cell.strip() for cell in line.strip("|").split("|"))
+            if len(rest) < 2:  # the methods of an estimator
+                continue
+            second, third = rest[:2]
             names = re.findall("`([^`]+)`", first)
             if re.fullmatch("`[a-z_0]+`", second):
                 settings += [(name, second.strip("`"), third) for name in names]
