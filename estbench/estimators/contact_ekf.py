@@ -12,6 +12,7 @@ from estbench.estimators.contact_aided import (
     ContactAided,
     ContactBelief,
     blocks,
+    reaches,
 )
 from estbench.estimators.update import apply_correction
 from estbench.shapes import Array, Float
@@ -79,7 +80,7 @@ class ContactEKF(ContactAided):
         """ν = s - Rᵀ (d - p), ∂/∂φ = [Rᵀ (d - p)], ∂/∂d = Rᵀ = -∂/∂p."""
         runs, feet = s.shape[:2]
         R = rotation.matrix(m[:, :4])
-        reach = m[:, 10 : 10 + 3 * feet].reshape(runs, feet, 3) - m[:, None, 7:10]
+        reach = reaches(m, feet)
         predicted = reach @ R
         H = np.zeros((runs, feet, 3, self.n))
         H[..., ROTATION] = rotation.skew(predicted)

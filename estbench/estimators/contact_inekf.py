@@ -11,6 +11,7 @@ from estbench.estimators.contact_aided import (
     ContactAided,
     ContactBelief,
     blocks,
+    reaches,
 )
 from estbench.shapes import Array, Float
 from estbench.spaces import rotation
@@ -66,7 +67,7 @@ class ContactInEKF(ContactAided):
         """ν = R s - (d - p) in the world, H = ξ_d - ξ_p."""
         runs, feet = s.shape[:2]
         R = rotation.matrix(m[:, :4])
-        reach = m[:, 10 : 10 + 3 * feet].reshape(runs, feet, 3) - m[:, None, 7:10]
+        reach = reaches(m, feet)
         H = np.zeros((feet, 3, self.n))
         H[..., POSITION] = -identity(3)
         H[:, :, 9 : 9 + 3 * feet] = identity(3 * feet).reshape(feet, 3, 3 * feet)

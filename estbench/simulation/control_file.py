@@ -8,6 +8,7 @@ import numpy as np
 
 from estbench.errors import ControllerError, DimensionError
 from estbench.shapes import Array, Float
+from estbench.spaces.patterns import is_number
 
 SHOWN = 30
 """Characters of a cell that a message shows."""
@@ -40,7 +41,7 @@ def read(
             reader = csv.reader(file)
             for i, row in enumerate(row for row in reader if row):
                 at = f"{where}, row {reader.line_num}"
-                if i == 0 and not any(map(_is_number, row)):
+                if i == 0 and not any(map(is_number, row)):
                     _check_headings(row, names, at)
                     continue
                 values = _numbers(row, names, at)
@@ -80,7 +81,7 @@ def _numbers(row: Sequence[str], names: Sequence[str], at: str) -> list[float]:
     _check_count(row, names, at)
     values = []
     for name, cell in zip(("t", *names), row):
-        value = float(cell) if _is_number(cell) else np.nan
+        value = float(cell) if is_number(cell) else np.nan
         if not np.isfinite(value):
             raise ControllerError(f"{at}: {name} is {_shown(cell)}; use a finite number")
         values.append(value)
@@ -96,11 +97,3 @@ def _check_count(row: Sequence[str], names: Sequence[str], at: str) -> None:
 
 def _shown(cell: str) -> str:
     return repr(cell if len(cell) <= SHOWN else f"{cell[:SHOWN]}...")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -1,4 +1,4 @@
-"""Quantities given per name: a number, a list, or a table of glob patterns."""
+"""Quantities as users write them: a number, a list, a table of glob patterns, a text."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -61,3 +61,12 @@ def _expanded(
             f"{what} has {array.size} values; expected 1 or {len(names)} ({', '.join(names)})"
         )
     return np.broadcast_to(array, (len(names),)).copy()
+
+
+def is_number(text: str) -> bool:
+    """Whether Python reads a text as a number; `nan` and `inf` are numbers."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -2,6 +2,8 @@
 
 import unicodedata
 
+from estbench.spaces.patterns import is_number
+
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 """First characters of a cell that a spreadsheet takes for a formula."""
 UNSEEN = ("Cc", "Cf", "Zl", "Zp")
@@ -27,13 +29,5 @@ def cell(value: object) -> object:
     """A value for a CSV file: a text that a spreadsheet would compute begins with a quote."""
     if not isinstance(value, str):
         return value
-    quote = "'" if value.startswith(FORMULAS) and not _is_number(value) else ""
+    quote = "'" if value.startswith(FORMULAS) and not is_number(value) else ""
     return quote + visible(value)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
