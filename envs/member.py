@@ -9,15 +9,10 @@ from estbench.envs.errors import EnvError
 from estbench.envs.place import Place
 from estbench.robots import fields
 from estbench.robots.fields import Fields
-from estbench.robots.given import INPUTS
+from estbench.robots.given import INPUTS, STATE
 from estbench.shapes import Array
 
-_WHOLE = INPUTS | int(
-    mujoco.mjtState.mjSTATE_TIME
-    | mujoco.mjtState.mjSTATE_QPOS
-    | mujoco.mjtState.mjSTATE_QVEL
-    | mujoco.mjtState.mjSTATE_ACT
-)
+_WHOLE = STATE | INPUTS
 _BAD_STATE = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")
 )

@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from estbench.envs.errors import EnvError
 from estbench.robots import layout
-from estbench.robots.given import INPUTS
+from estbench.robots.given import INPUTS, STATE
 from estbench.shapes import Array
 
 _OWN = frozenset(("model", "data", "mujoco_renderer", "_np_random", "_np_random_seed", "spec"))
@@ -86,6 +86,8 @@ class Twin:
         self._quaternions = [
             slice(q, q + 4) for q in layout.state_space(base.model).quaternions[:, 0]
         ]
+        low, high = getattr(self.space, "low", -np.inf), getattr(self.space, "high", np.inf)
+        self._bounded = bool(np.isfinite(low).any() or np.isfinite(high).any())
 
     @property
     def data(self) -> mujoco.MjData:
@@ -107,11 +109,10 @@ class Twin:
         """
         env = self._sync()
         mujoco.mj_resetData(env.model, env.data)
-        mujoco.mj_setState(env.model, env.data, inputs, INPUTS)
         x = x.copy()
         for part in self._quaternions:
             x[part] *= np.linalg.norm(truth[part]) / np.linalg.norm(x[part])
-        self._write(x, t)
+        mujoco.mj_setState(env.model, env.data, np.concatenate([[t], x, inputs]), STATE | INPUTS)
         mujoco.mj_forward(env.model, env.data)
         return self._observation()
 
@@ -126,10 +127,13 @@ class Twin:
             t: time at x, s.
         """
         env = self._sync()
-        self._write(before, t - nstep * env.model.opt.timestep)
-        mujoco.mj_setState(env.model, env.data, inputs, INPUTS)
-        env.do_simulation(inputs[: env.model.nu], nstep)
-        self._write(x, t)
+        model, data, n = env.model, env.data, 1 + len(x)
+        state = np.empty(n + len(inputs))
+        state[0], state[1:n], state[n:] = t - nstep * model.opt.timestep, before, inputs
+        mujoco.mj_setState(model, data, state, STATE | INPUTS)
+        env.do_simulation(inputs[: model.nu], nstep)
+        state[0], state[1:n] = t, x
+        mujoco.mj_setState(model, data, state[:n], STATE)
         return self._observation()
 
     def _sync(self) -> Any:
@@ -147,18 +151,10 @@ class Twin:
                 del mine[name]
         return self._env
 
-    def _write(self, x: Array, t: float) -> None:
-        model, data = self._env.model, self._env.data
-        data.qpos = x[: model.nq]
-        data.qvel = x[model.nq : model.nq + model.nv]
-        if model.na:
-            data.act = x[model.nq + model.nv :]
-        data.time = t
-
     def _observation(self) -> Any:
         observation = self._env._get_obs()
         if isinstance(self.space, spaces.Box):
-            # An estimate may lie a little outside of what the truth can reach.
-            inside = np.minimum(np.maximum(observation, self.space.low), self.space.high)
-            return np.array(inside, self.space.dtype)
+            if self._bounded:  # an estimate may lie a little outside of what the truth can reach
+                observation = np.minimum(np.maximum(observation, self.space.low), self.space.high)
+            return np.array(observation, self.space.dtype)
         return copy.deepcopy(observation)

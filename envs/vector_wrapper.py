@@ -22,6 +22,7 @@ from estbench.envs.twin import Twin, chosen
 from estbench.envs.watch import Watch
 from estbench.robots import fields
 from estbench.shapes import Array, Mask
+from estbench.spaces.linalg import quiet
 
 States = tuple[Array, Array, Array]  # times, true states, inputs
 _log = logging.getLogger("estbench")
@@ -217,7 +218,8 @@ class VectorEstimatedObservation(VectorWrapper):
         nstep = self._watch.steps(float(t[row] - self._time[row]))
         filter_ = self._watch.filter
         before = None if filter_ is None else filter_.estimate
-        self._watch.step(nstep, x, u, None if mask.all() else mask)
+        with quiet():
+            self._watch.step(nstep, x, u, None if mask.all() else mask)
         self._time[mask] = t[mask]
         if self._twins and filter_ is not None and before is not None:
             for row in np.flatnonzero(mask):
@@ -228,7 +230,8 @@ class VectorEstimatedObservation(VectorWrapper):
             self._shown[mask] = self._observe(x)[mask]
 
     def _info(self, states: States, mask: Mask) -> dict[str, Any]:
-        return vector_info(self._watch.info(states[1]), mask)
+        with quiet():
+            return vector_info(self._watch.info(states[1]), mask)
 
     def _states(self, info: dict[str, Any], began: Mask, followed: Mask) -> States:
         """Times, true states and inputs of all rows; of rows without news, the last ones.

@@ -28,7 +28,6 @@ from estbench.sensors.clock import Clocks, Event
 from estbench.sensors.suite import SensorSuite
 from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array, Bool, Ints, Mask
-from estbench.spaces.linalg import quiet
 from estbench.spaces.patterns import expand
 
 _log = logging.getLogger("estbench")
@@ -171,7 +170,7 @@ class Watch:
         self.filter.start(rows, self.space.plus(x, -error), self._cov, keys)
 
     def step(self, nstep: int, x: Array, inputs: Array, mask: Mask | None = None) -> None:
-        """Go on by `nstep` physics steps, to the true states x `(row, nx)`.
+        """Go on by `nstep` physics steps, to the true states x `(row, nx)`; under `quiet`.
 
         Args:
             nstep: physics steps.
@@ -182,14 +181,13 @@ class Watch:
         u, known = self._following.inputs(inputs)
         if self.filter is not None:
             self.filter.begin()
-        with quiet():
-            for event in self.clocks.interval(nstep, mask):
-                _, end = self.clocks.time(event)
-                arrived = self.suite.read(event.tick, end, x, u, event.rows)
-                if self.filter is not None:
-                    self.filter.step(event, known, arrived)
+        for event in self.clocks.interval(nstep, mask):
+            _, end = self.clocks.time(event)
+            arrived = self.suite.read(event.tick, end, x, u, event.rows)
             if self.filter is not None:
-                self.filter.settle()
+                self.filter.step(event, known, arrived)
+        if self.filter is not None:
+            self.filter.settle()
 
     def close(self) -> None:
         """Release the backends of the sensors and of the filter."""

@@ -186,4 +186,5 @@ class World:
         """`info` of every row: see `LiveFilter.info`; without a filter, the truth."""
         if self.filter is None:
             return {"truth": self.simulator.x.copy()}
-        return self.filter.info(self.simulator.x)
+        with quiet():
+            return self.filter.info(self.simulator.x)

@@ -18,6 +18,7 @@ from estbench.envs.native import first
 from estbench.envs.place import Given, Place
 from estbench.envs.twin import Twin, chosen
 from estbench.envs.watch import Watch
+from estbench.spaces.linalg import quiet
 
 ROW = np.zeros(1, np.int64)
 _log = logging.getLogger("estbench")
@@ -131,7 +132,8 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             observation = self._twin.reset(filter_.estimate[0], x[0], u[0], self._time)
         else:
             observation = self._observe(x)[0].copy()
-        return observation, {**info, **first(self._watch.info(x))}
+        with quiet():
+            return observation, {**info, **first(self._watch.info(x))}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment, predict and update.
@@ -157,15 +159,14 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         self._time = now
         filter_ = self._watch.filter
         before = None if filter_ is None else filter_.estimate
-        self._watch.step(nstep, x, u)
+        with quiet():
+            self._watch.step(nstep, x, u)
+            news = first(self._watch.info(x))
         if self._twin is not None and filter_ is not None and before is not None:
             observation = self._twin.step(before[0], u[0], nstep, filter_.estimate[0], self._time)
         else:
             observation = self._observe(x)[0].copy()
-        return (
-            observation, reward, terminated, truncated,
-            {**info, **first(self._watch.info(x))},
-        )  # fmt: skip
+        return observation, reward, terminated, truncated, {**info, **news}
 
     def close(self) -> None:
         """Close the environment; nothing can follow."""

@@ -70,7 +70,7 @@ def correct(
         residual = np.where(mask, residual, 0.0)
         dof = mask.sum(axis=-1)
     else:
-        dof = np.full(len(S), m)
+        dof = np.array([m]).repeat(len(S))
     lower = cholesky(S)
     joint = np.zeros((len(S), m, n + 1 + m))
     joint[..., :n], joint[..., n], joint[..., n + 1 :] = cross.mT, residual, identity(m)

@@ -68,7 +68,7 @@ class Answers:
                 `(run, m, m)`; these three may be empty, and dof and cov the same for all runs; or
                 log_likelihood, if it is given, not `(run,)`.
         """
-        if self.own and channels in self._seen:
+        if self.trusted(channels):
             return answer
         self.pair(answer)
         shapes = {"nis": (runs,), "dof": (runs,), "white": (runs, m), "residual": (runs, m)}
@@ -93,6 +93,10 @@ class Answers:
         if dof.any():
             self._seen.add(channels)
         return answer
+
+    def trusted(self, channels: tuple[str, ...]) -> bool:
+        """Whether answers for these channels need no further check."""
+        return self.own and channels in self._seen
 
     def pair(self, answer: Any) -> tuple[Any, Innovation]:
         """What `update` returned, as a belief and an innovation.

@@ -7,7 +7,7 @@ to is taken from memory, and everything received since is replayed (Bar-Shalom, 
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -128,15 +128,14 @@ class Fusion:
         if first is not None and oldest < k:
             self.belief = self._replayed(k, oldest, first)
         self.belief = self._predict(event, self.belief, u)
-        step = _Step(event, u, self.belief, self._began)
         self._count += 1
         if not self._memory:
-            self.belief = self._update(k, step, self.belief)
+            self.belief = self._update(k, event, u, self.belief)
             self._inbox.clear()
             return self._count
-        self._steps.append(step)
+        self._steps.append(_Step(event, u, self.belief, self._began))
         self._began = []
-        self.belief = self._update(k, step, self.belief)
+        self.belief = self._update(k, event, u, self.belief)
         return self._forget(event.tick)
 
     def _stamp(self, event: Event, delivery: Delivery) -> int | Ints:
@@ -170,7 +169,7 @@ class Fusion:
         if number < 0:
             self.late += 1 if mask is None else mask
             return
-        self._inbox.add(number, replace(delivery, mask=mask))
+        self._inbox.add(number, delivery._replace(mask=mask))
         came = ALL if mask is None else mask
         first[came] = np.minimum(first[came], number)
 
@@ -211,7 +210,7 @@ class Fusion:
                 step.prior = put(step.prior, rows, part)
             everyone = self._history is not None
             rows = ALL if everyone else some(step.prior, np.less_equal(first, j))
-            part = self._update(j, step, take(step.prior, rows), rows)
+            part = self._update(j, step.event, step.u, take(step.prior, rows), rows)
         return put(self.belief, rows, self._begun(part, self._began, rows))
 
     def _begun(self, part: Any, began: list[tuple[Mask, Any]], rows: RunIndex) -> Any:
@@ -233,12 +232,19 @@ class Fusion:
         moved = self._estimator.predict(take(belief, few), u[within(rows, few)], start, dt)
         return select(going, moved, belief) if isinstance(few, slice) else put(belief, few, moved)
 
-    def _update(self, k: int, step: _Step, belief: Any, rows: RunIndex = ALL) -> Any:
+    def _update(self, k: int, event: Event, u: Array, belief: Any, rows: RunIndex = ALL) -> Any:
         """The belief of some rows at the k-th event with all that belongs there."""
-        joints, u = self._inbox.at(k), step.u
+        joints = self._inbox.at(k)
         if joints:
             self._log.clear(k, rows)
         for layer, joint in enumerate(joints):
+            everyone = rows is ALL and joint.mask is None
+            if everyone and self._answers.trusted(joint.channels):  # as usual: nothing to look at
+                belief, innovation = self._estimator.update(
+                    belief, joint.y, u, event.instant.end, joint.channels
+                )
+                self._log.put(k, layer, joint.channels, innovation, None, ALL)
+                continue
             came, masked = ALL, {}
             if joint.mask is not None:
                 came = some(belief, np.any(joint.mask[rows], axis=-1))
@@ -248,7 +254,7 @@ class Fusion:
             if not len(y):
                 continue
             answer = self._estimator.update(
-                take(belief, came), y, u[runs], step.event.instant.end, joint.channels, **masked
+                take(belief, came), y, u[runs], event.instant.end, joint.channels, **masked
             )
             part, innovation = self._answers.checked(
                 answer, joint.channels, len(y), self._width(joint.channels)

@@ -7,6 +7,7 @@ measurements, the second in the second: as few updates as there are readings.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +17,7 @@ from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import Manifold, product
 
 
-@dataclass(frozen=True, eq=False)
-class JointMeasurement:
+class JointMeasurement(NamedTuple):
     """One joint measurement: channels in their order; without a mask everything has arrived.
 
     A component without a return is masked, and 0 in y.

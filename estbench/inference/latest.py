@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from estbench.estimators.protocol import Innovation
-from estbench.inference.run_subset import RunIndex
+from estbench.inference.run_subset import ALL, RunIndex
 from estbench.shapes import Array, Bool, Int, Ints, Mask
 from estbench.spaces.manifold import Manifold
 
@@ -69,8 +69,12 @@ class LatestInnovations:
     ) -> None:
         """Some rows were updated; see `Innovations.put`."""
         if not self._revised:
-            self.nis[rows] += innovation.nis
-            self.dof[rows] += innovation.dof
+            if rows is ALL:  # half the time
+                self.nis += innovation.nis
+                self.dof += innovation.dof
+            else:
+                self.nis[rows] += innovation.nis
+                self.dof[rows] += innovation.dof
             residual = innovation.residual
             if mask is None and channels == self._every and len(residual):
                 self.innovation[rows] = residual

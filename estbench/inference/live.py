@@ -1,7 +1,7 @@
 """An estimator beside robots that somebody else steps: rows that begin anew at any time."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,14 @@ from estbench.estimators.protocol import Estimator
 from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
 from estbench.inference.latest import LatestInnovations
+from estbench.inference.sizes import Sizes
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.shapes import Array, Float, Int, Ints, Keys, Mask, UInt
 from estbench.spaces.linalg import quiet, surely_finite
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.selection import chosen
-from estbench.spaces.semidefinite import RESOLUTION, full_rank, range_form
+from estbench.spaces.semidefinite import RESOLUTION, range_form, surely_full_rank
 
 
 @dataclass(eq=False)
@@ -44,7 +45,7 @@ class LiveFilter:
 
     All rows are one batch, unless what is computed depends on the time (`by_clock`) or the belief
     cannot be taken apart by rows: then rows that begin together are one. A row that breaks down is
-    marked: call `step` and `settle` under `linalg.quiet`.
+    marked: call `step`, `settle` and `info` under `linalg.quiet`.
 
     Args:
         estimator: any object of the protocol.
@@ -80,7 +81,9 @@ class LiveFilter:
         self.estimate = np.zeros((rows, space.nx))
         self.cov = np.zeros((rows, space.n, space.n))
         self.failed = np.zeros(rows, bool)
-        self._size = np.zeros((rows, space.n))  # largest of each coordinate so far
+        self._sizes = Sizes(space, rows)
+        self._full = np.full(rows, space.n)  # degrees of freedom of NEES where P has full rank
+        self._limit = np.full(rows, threshold * space.n)
         width = sum(channel.n for channel in channels.values())
         self.innovation = np.zeros((rows, width))
         self.nis, self.dof = np.zeros(rows), np.zeros(rows, np.int64)
@@ -107,8 +110,8 @@ class LiveFilter:
             raise
         except (Exception, SystemExit) as error:  # a user's estimator may raise anything
             raise EstimatorError(f"{self._label} raised {user_error_location(error)}") from error
+        self._sizes.forget(rows)
         self.estimate[rows], self.cov[rows], self.failed[rows] = mean[rows], cov[rows], False
-        self._size[rows] = 0.0
         self.innovation[rows], self.nis[rows], self.dof[rows] = 0.0, 0.0, 0
 
     def begin(self) -> None:
@@ -147,7 +150,7 @@ class LiveFilter:
         """What a step's `info` says of every row, all of it copies, each with a leading row axis.
 
         Args:
-            truth: x `(row, nx)`.
+            truth: x `(row, nx)`; the caller does not write to it any more.
 
         Returns:
             truth, estimate `(row, nx)`; error x ⊖ x̂ `(row, n)`; nees `(row,)`, on the range of P,
@@ -155,12 +158,13 @@ class LiveFilter:
             of freedom; innovation `(row, m)`; nis and nis_dof `(row,)`; diverged `(row,)`: the
             filter has failed, or NEES/nees_dof is above the threshold.
         """
-        with quiet():
-            error = self.space.minus(truth, self.estimate)
-            for x in (truth, self.estimate):
-                self._size = np.fmax(self._size, self.space.magnitude(x))
-            nees, nees_dof = self._nees(error)
-        diverged = nees > self._threshold * np.maximum(nees_dof, 1)
+        error = self.space.minus(truth, self.estimate)
+        self._sizes.add(truth)
+        self._sizes.add(self.estimate)
+        nees, nees_dof = self._nees(error)
+        full = nees_dof is self._full
+        limit = self._limit if full else self._threshold * np.maximum(nees_dof, 1)
+        diverged = nees > limit
         nis, innovation = self.nis.copy(), self.innovation.copy()
         if np.count_nonzero(self.failed) or not surely_finite(nees, nis, innovation):
             bad = ~np.isfinite(nees) | self.failed
@@ -172,7 +176,7 @@ class LiveFilter:
             "estimate": self.estimate.copy(),
             "error": error,
             "nees": nees,
-            "nees_dof": nees_dof,
+            "nees_dof": nees_dof.copy(),
             "nis": nis,
             "nis_dof": self.dof.copy(),
             "innovation": innovation,
@@ -216,14 +220,14 @@ class LiveFilter:
         self, cohort: _Cohort, event: Event, u: Array, arrived: Sequence[Delivery]
     ) -> None:
         here, rows = cohort.here, cohort.rows
-        if rows is not None or not here.all():
+        if rows is not None or np.count_nonzero(here) < len(here):
             rows = np.arange(self.rows) if rows is None else rows
             going = here if event.rows is None else here & event.rows[rows]
             if not going.any():
                 return
             # Those that have left go along: nobody looks, and the belief need not be divided.
             together = not (here & ~going).any()
-            u, event = u[rows], replace(event, rows=None if together else going)
+            u, event = u[rows], event._replace(rows=None if together else going)
             arrived = [part for d in arrived if (part := _of(d, rows, going)) is not None]
         oldest = cohort.fusion.step(event, u, arrived)
         cohort.log.settle(oldest)
@@ -247,12 +251,11 @@ class LiveFilter:
 
     def _nees(self, error: Array) -> tuple[Array, Ints]:
         """NEES and its degrees of freedom `(row,)`; NaN where P is not semidefinite."""
-        resolution = RESOLUTION * self._size
         if self.rows == 1:  # a fifth of the time
             factor, solved, fault = dposv(self.cov[0], error[0])
-            if fault == 0 and full_rank(factor, self.cov[0], resolution[0]).all():
-                return np.array([error[0] @ solved]), np.array([self.space.n])
-        form = range_form(self.cov, error, resolution)
+            if fault == 0 and surely_full_rank(factor, self.cov[0], self._sizes.bound):
+                return np.array([error[0] @ solved]), self._full
+        form = range_form(self.cov, error, RESOLUTION * self._sizes.largest)
         return form.value, form.dof
 
 
@@ -262,4 +265,4 @@ def _of(delivery: Delivery, rows: Ints, going: Mask) -> Delivery | None:
     if not mask.any():
         return None
     due = delivery.due if isinstance(delivery.due, int) else delivery.due[rows]
-    return replace(delivery, due=due, y=delivery.y[rows], mask=None if mask.all() else mask)
+    return delivery._replace(due=due, y=delivery.y[rows], mask=None if mask.all() else mask)

@@ -9,7 +9,7 @@ import numpy as np
 
 from estbench.errors import ScenarioError
 from estbench.shapes import Array, Float
-from estbench.spaces.linalg import surely_finite
+from estbench.spaces.linalg import constant, surely_finite
 from estbench.spaces.manifold import Manifold
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -48,7 +48,7 @@ class Differences:
         if self.scheme == "centered":
             n = change.shape[1] // 2
             change = 0.5 * (change[:, :n] - change[:, n:])
-        return change.mT / (self.step if step is None else step)
+        return change.mT / constant(self.step if step is None else step)
 
     def jacobian(
         self,

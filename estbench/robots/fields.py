@@ -148,13 +148,13 @@ class _Words:
     def __init__(self, arrays: Sequence[NDArray[Any]]):
         places = sorted((a.ctypes.data, a.nbytes) for a in arrays if a.nbytes)
         self._views = [_words(start, stop) for start, stop in _merged(places)]
-        self._last = [view.tobytes() for view in self._views]
+        self._last = [bytearray(view) for view in self._views]
 
     def changed(self) -> bool:
-        now = [view.tobytes() for view in self._views]  # comparing arrays takes four times as long
-        if now == self._last:
+        # A bytearray is compared with the memory in place: a copy would empty the cache.
+        if self._last == self._views:
             return False
-        self._last = now
+        self._last = [bytearray(view) for view in self._views]
         return True
 
 
@@ -192,7 +192,7 @@ def _merged(places: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return out
 
 
-def _words(start: int, stop: int) -> NDArray[np.uint64]:
+def _words(start: int, stop: int) -> memoryview:
     """The memory between two addresses; the last word, which names follow, is taken whole."""
     count = -(-(stop - start) // 8)
-    return np.ctypeslib.as_array((ctypes.c_uint64 * count).from_address(start))
+    return memoryview((ctypes.c_uint64 * count).from_address(start)).cast("B")

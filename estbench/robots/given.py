@@ -13,6 +13,14 @@ import numpy as np
 from estbench.shapes import Array, Float
 
 INPUTS = int(mujoco.mjtState.mjSTATE_USER)
+"""MuJoCo's signature of all inputs."""
+STATE = int(
+    mujoco.mjtState.mjSTATE_TIME
+    | mujoco.mjtState.mjSTATE_QPOS
+    | mujoco.mjtState.mjSTATE_QVEL
+    | mujoco.mjtState.mjSTATE_ACT
+)
+"""MuJoCo's signature of time, qpos, qvel and act, which come before the inputs."""
 _NAMED = {
     "controls": mujoco.mjtState.mjSTATE_CTRL,
     "qfrc_applied": mujoco.mjtState.mjSTATE_QFRC_APPLIED,

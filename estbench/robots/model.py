@@ -125,9 +125,9 @@ class MujocoModel:
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
     ) -> Float[Array, "... n n"]:
         """Q of the disturbance over dt."""
-        return self.disturbance.covariance(
-            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
-        )
+        if self.disturbance.kind != "additive":
+            u = self._clamp(u)
+        return self.disturbance.covariance(self._backend, self._space, x, u, t, dt, self.steps(dt))
 
     def noise_response(
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float

@@ -1,7 +1,7 @@
 """The clocks of many rows: each starts when an episode of its row begins, all tick together."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +9,7 @@ from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 
-@dataclass(frozen=True, eq=False)
-class Event:
+class Event(NamedTuple):
     """Some rows go on for one interval.
 
     Attributes:

@@ -6,8 +6,9 @@ the stream of the run that a row is in, so a run is the same in any company.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +26,7 @@ from estbench.spaces.selection import chosen, select
 NEVER = int(np.iinfo(np.int64).max)
 
 
-@dataclass(frozen=True, eq=False)
-class Delivery:
+class Delivery(NamedTuple):
     """Readings of channels that are sampled together, taken at one tick, that arrive at one tick.
 
     Attributes:
@@ -58,7 +58,7 @@ class Delivery:
             if not surely_finite(y):
                 seen = np.any(~np.isinf(y), axis=1)
                 mask = np.asarray(seen if mask is None else mask & seen)
-            yield replace(self, channels=(name,), y=y, mask=mask, widths=())
+            yield self._replace(channels=(name,), y=y, mask=mask, widths=())
             start = stop
 
 
@@ -136,7 +136,7 @@ class Sampler:
         self._begin[rows], self._number[rows] = tick, 0
         self._plan(here)
         others = [
-            (at, replace(d, mask=~here if d.mask is None else d.mask & ~here))
+            (at, d._replace(mask=~here if d.mask is None else d.mask & ~here))
             for at, d in self._waiting
         ]
         self._waiting = [(at, d) for at, d in others if d.mask is not None and d.mask.any()]
@@ -182,10 +182,10 @@ class Sampler:
                 continue
             mask = moved if delivery.mask is None else delivery.mask & moved
             if mask.any():
-                arrived.append(replace(delivery, mask=mask))
+                arrived.append(delivery._replace(mask=mask))
             rest = ~moved if delivery.mask is None else delivery.mask & ~moved
             if rest.any():
-                waiting.append((at, replace(delivery, mask=rest)))
+                waiting.append((at, delivery._replace(mask=rest)))
         self._waiting = waiting
         self._soonest = min((at for at, _ in waiting), default=NEVER)
         return arrived
@@ -218,7 +218,7 @@ class Sampler:
         arrives = self._begin + timing.arrival_tick(taken, number, normal)
         for arrival in np.unique(arrives[mask]).tolist():
             together = mask & (arrives == arrival)
-            packet = replace(delivery, mask=None if together.all() else together)
+            packet = delivery._replace(mask=None if together.all() else together)
             self._waiting.append((arrival, packet))
             self._soonest = min(self._soonest, arrival)
 

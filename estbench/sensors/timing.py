@@ -9,7 +9,7 @@ plus the latency; without latency it arrives when it is sampled.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,8 +56,7 @@ class MjcfTiming:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Instant:
+class Instant(NamedTuple):
     """The end of one interval of the event loop.
 
     Attributes:
@@ -224,6 +223,11 @@ class Schedule:
 
     def _period(self, k: int) -> Iterator[Instant]:
         before, end = k * self.frame_skip, (k + 1) * self.frame_skip
+        if not self._channels:
+            yield Instant(
+                before * self.timestep, end * self.timestep, self.frame_skip, (), True, end
+            )
+            return
         ticks, due = {end}, dict[int, list[str]]()
         for name, timing in self._channels:
             j = timing.jitter

@@ -11,9 +11,6 @@ import numpy as np
 
 from estbench.shapes import Array, Bool, Float, Mask
 
-_HALF = np.array(0.5)
-"""A Python number would be converted at every call: half of the cost for one small matrix."""
-
 
 def quiet() -> np.errstate:
     """Suppress numpy's warnings about numbers that are not finite: such rows are marked failed."""
@@ -26,6 +23,14 @@ def identity(n: int) -> Float[Array, "n n"]:
     eye = np.eye(n)
     eye.flags.writeable = False
     return eye
+
+
+@lru_cache(maxsize=64)
+def constant(value: float) -> Float[Array, ""]:
+    """A number as an array: a Python number would be converted at every call of numpy."""
+    out = np.array(value)
+    out.flags.writeable = False
+    return out
 
 
 def pad_absent(cov: Float[Array, "*any m m"], mask: Bool[Mask, "run m"]) -> Float[Array, "run m m"]:
@@ -42,7 +47,7 @@ def pad_absent(cov: Float[Array, "*any m m"], mask: Bool[Mask, "run m"]) -> Floa
 
 def symmetrize(a: Float[Array, "*any n n"]) -> Float[Array, "*any n n"]:
     """(A + Aᵀ)/2."""
-    return _HALF * (a + a.mT)
+    return constant(0.5) * (a + a.mT)
 
 
 def surely_finite(*arrays: Array) -> bool:
@@ -86,7 +91,7 @@ def solve_lower(
     lower: Float[Array, "*any m m"], b: Float[Array, "*other m k"]
 ) -> Float[Array, "... m k"]:
     """L⁻¹ B by forward substitution, for a lower triangular L."""
-    x = np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
+    x = _solution(lower, b)
     for i in range(lower.shape[-1]):
         row = b[..., i, :]
         if i:
@@ -99,7 +104,7 @@ def solve_lower_transposed(
     lower: Float[Array, "*any m m"], b: Float[Array, "*other m k"]
 ) -> Float[Array, "... m k"]:
     """L⁻ᵀ B by back substitution, for a lower triangular L."""
-    x = np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
+    x = _solution(lower, b)
     m = lower.shape[-1]
     for i in reversed(range(m)):
         row = b[..., i, :]
@@ -107,6 +112,13 @@ def solve_lower_transposed(
             row = row - (lower[..., None, i + 1 :, i] @ x[..., i + 1 :, :])[..., 0, :]
         np.divide(row, lower[..., i, i, None], out=x[..., i, :])
     return x
+
+
+def _solution(lower: Array, b: Array) -> Array:
+    """An empty array for L⁻¹ B."""
+    if lower.shape[:-2] == b.shape[:-2]:
+        return np.empty(b.shape)
+    return np.empty(np.broadcast_shapes(b.shape, (*lower.shape[:-2], 1, 1)))
 
 
 def solve_one_lower(lower: Float[Array, "m m"], b: Float[Array, "m k"]) -> Float[Array, "m k"]:

@@ -140,6 +140,18 @@ def full_rank(
     return pivots * pivots > np.maximum(ROUNDING * variance, resolution * resolution)
 
 
+def surely_full_rank(factor: Float[Array, "n n"], cov: Float[Array, "n n"], largest: float) -> bool:
+    """Whether a triangular factor of one P shows full rank, by a test that is cheap and too strict.
+
+    Args:
+        factor: with its pivots.
+        cov: P.
+        largest: a bound of the squared size of every coordinate; see `full_rank`.
+    """
+    pivot, variance = min(factor.diagonal().tolist()), max(cov.diagonal().tolist())
+    return pivot * pivot > max(ROUNDING * variance, RESOLUTION * RESOLUTION * largest)
+
+
 def _on_range(cov: Array, v: Array, floor: Array) -> tuple[Array, Ints, Mask]:
     """Value, rank and known coordinates by eigenvalues; `floor` is the squared resolution."""
     value, dof, known = _spectral(cov, v, floor)

@@ -39,8 +39,8 @@ def recorded(name="quadrotor", *overrides):
 
 def of_rows(delivery, rows):
     due, mask = delivery.due, delivery.mask
-    return replace(
-        delivery, due=due if isinstance(due, int) else due[rows], y=delivery.y[rows],
+    return delivery._replace(
+        due=due if isinstance(due, int) else due[rows], y=delivery.y[rows],
         mask=None if mask is None else mask[rows],
     )  # fmt: skip
 
@@ -83,7 +83,7 @@ def retimed(trajectory, latency, silent=0):
             for steps in np.unique(late[mask]):
                 now = mask & (late == steps)
                 if k + steps < count:
-                    packet = replace(d, mask=None if now.all() else now)
+                    packet = d._replace(mask=None if now.all() else now)
                     deliveries[k + int(steps)].append(packet)
     return Trajectory(trajectory.x, trajectory.u, deliveries)
 
@@ -303,7 +303,7 @@ def test_naive_handling_takes_a_late_reading_for_a_current_one():
     delayed = retimed(trajectory, fixed({"accel": 4}))
     naive = run(prepared, delayed, handling="naive", window=50)
     shifted = [
-        [replace(d, due=instant.tick, taken=instant.tick) for d in divided(arrived)]
+        [d._replace(due=instant.tick, taken=instant.tick) for d in divided(arrived)]
         for instant, arrived in zip(prepared.instants, delayed.deliveries)
     ]
     expected = run(prepared, Trajectory(delayed.x, delayed.u, shifted))
@@ -331,7 +331,7 @@ def test_a_filter_that_knows_the_latency_but_sees_no_timestamp():
     wrong = run(prepared, delayed, window=10, believed={"accel": 2})
     shifted = [
         [
-            replace(d, taken=instant.tick - 2) if d.channels == ("accel",) else d
+            d._replace(taken=instant.tick - 2) if d.channels == ("accel",) else d
             for d in divided(arrived)
         ]
         for instant, arrived in zip(prepared.instants, delayed.deliveries)
@@ -349,7 +349,7 @@ def test_a_reading_with_jitter_carries_the_time_it_was_taken_or_was_due():
     assert apart
     assert {d.channels[0] for d in apart} == {"attitude"}
     np.testing.assert_array_equal(taken.dof.sum(axis=0), planned.dof.sum(axis=0))
-    moved = [[replace(d, taken=min(due(d), instant.tick)) for d in divided(arrived)]
+    moved = [[d._replace(taken=min(due(d), instant.tick)) for d in divided(arrived)]
              for instant, arrived in zip(prepared.instants, trajectory.deliveries)]  # fmt: skip
     expected = run(prepared, Trajectory(trajectory.x, trajectory.u, moved), window=10)
     np.testing.assert_allclose(planned.mean, expected.mean, atol=1e-12)

@@ -113,7 +113,7 @@ def recorded():
             late = np.where(rng.random(RUNS) < 0.05, rng.integers(1, 10, RUNS), 0)
             for steps in np.unique(late):
                 if k + steps < count:
-                    deliveries[k + steps].append(replace(d, mask=late == steps))
+                    deliveries[k + steps].append(d._replace(mask=late == steps))
                     depth[k + steps] = np.maximum(depth[k + steps], steps * (late == steps))
     asked = int(np.maximum(depth - 1, 0).sum())
     return prepared, Trajectory(trajectory.x, trajectory.u, deliveries), asked

@@ -1,6 +1,5 @@
 """Channels that are not one sensor, through the whole filter: several together, or a function."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ def test_sensors_taken_together_are_fused_as_they_are_apart(kind):
     def joined(arrived):
         encoder, accel, gyro = divided(arrived)
         y = np.concatenate([accel.y, gyro.y], axis=1)
-        return [encoder, replace(accel, channels=("imu",), y=y)]
+        return [encoder, accel._replace(channels=("imu",), y=y)]
 
     joint = Trajectory(trajectory.x, trajectory.u, [joined(a) for a in trajectory.deliveries])
     one, other = run(apart, trajectory, kind), run(together, joint, kind)
@@ -88,7 +87,7 @@ def test_a_function_of_the_state_is_fused_as_the_sensor_it_imitates(kind):
     def imitated(arrived):
         (encoder,) = (d for d in divided(arrived) if d.channels == ("cart_encoder",))
         rest = [d for d in divided(arrived) if d is not encoder]
-        return [*rest, replace(encoder, channels=("cart",))]
+        return [*rest, encoder._replace(channels=("cart",))]
 
     other = Trajectory(trajectory.x, trajectory.u, [imitated(a) for a in trajectory.deliveries])
     one, two = run(sensor, trajectory, kind), run(function, other, kind)
