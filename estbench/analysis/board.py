@@ -76,7 +76,10 @@ def markdown(boards: Sequence[Board]) -> str:
         if warning := few_runs(len(board.results.runs), len(board.ranks), level).strip():
             parts.append(warning)
         if board.skipped:
-            parts.append("\n".join(f"- not `{k}`: {v}" for k, v in board.skipped.items()))
+            why: dict[str, list[str]] = {}
+            for label, reason in board.skipped.items():
+                why.setdefault(reason, []).append(f"`{label}`")
+            parts.append("\n".join(f"- not {', '.join(v)}: {k}" for k, v in why.items()))
     return "\n\n".join(parts) + "\n"
 
 

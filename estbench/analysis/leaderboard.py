@@ -19,12 +19,14 @@ MAIN = (
 """Estimators that run on any robot without settings."""
 LARGEST = {"pf": 2}
 """Most coordinates for an estimator: the particles needed grow exponentially with them."""
+WHOLE = 24
+"""Most coordinates for the main estimators; with 32 and contact, all of them take hours."""
 
 
 def play(
     name: str,
     runs: int = RUNS,
-    estimators: Sequence[str] = MAIN,
+    estimators: Sequence[str] = (),
     workers: int | None = None,
     duration: float | None = None,
 ) -> Board:
@@ -33,7 +35,8 @@ def play(
     Args:
         name: the scenario.
         runs: count of runs.
-        estimators: names; one that cannot be built on this robot is skipped.
+        estimators: names; one that cannot be built on this robot, or would take hours, is skipped.
+            Default `MAIN`, and those of the scenario.
         workers: default the CPUs this process may use.
         duration: s; default the scenario's.
 
@@ -43,14 +46,15 @@ def play(
     """
     skipped: dict[str, str] = {}
     chosen = []
-    for label in estimators:
+    own = resolve(name).estimators
+    for label in estimators or dict.fromkeys((*MAIN, *own)):
         resolved = resolve(name, [label], runs=runs, duration=duration)
         try:
             n = build(resolved).space.n
         except (EstimatorError, DimensionError) as error:
             skipped[label] = str(error)
             continue
-        if n > LARGEST.get(label, n):
+        if n > LARGEST.get(label, n if label in own else WHOLE):
             skipped[label] = f"{n} coordinates are too many for it"
             continue
         chosen.append(label)
@@ -89,7 +93,7 @@ def reproduce(
     out: Path,
     runs: int = RUNS,
     scenarios: Sequence[str] = (),
-    estimators: Sequence[str] = MAIN,
+    estimators: Sequence[str] = (),
     workers: int | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> tuple[Path, Path]:
@@ -99,7 +103,7 @@ def reproduce(
         out: folder.
         runs: of each robot.
         scenarios: bundled names; default the robots, without their variants.
-        estimators: names.
+        estimators: names; default as in `play`.
         workers: default the CPUs this process may use.
         say: called with a line about each robot.
 
@@ -114,7 +118,7 @@ def reproduce(
         resolve(name, runs=runs)  # raises before any robot is run
     boards = []
     for name in names:
-        say(f"{name}: {runs} runs of {len(estimators)} estimators")
+        say(f"{name}: {runs} runs")
         boards.append(play(name, runs, estimators, workers))
     return write(boards, out)
 

@@ -45,7 +45,7 @@ def reproduce(
         list[str] | None, typer.Option(help="bundled scenario; repeatable; default one per robot")
     ] = None,
 ) -> None:
-    """Make the reference results again: every bundled robot and every main estimator."""
+    """Make the reference results again: every bundled robot and its estimators."""
     from estbench.analysis import leaderboard
 
     began = time.monotonic()

@@ -146,7 +146,7 @@ def _fill(keys: Group, groups: Sequence[Group], width: int) -> list[Group]:
             left = width - sum(column.width + GAP for column in keys) + GAP
         tables[-1] += group
         left -= needed
-    return tables
+    return tables or [keys]
 
 
 def _table(columns: Group) -> RichTable:

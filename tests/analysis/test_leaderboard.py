@@ -29,6 +29,14 @@ def test_estimators_that_do_not_suit_are_skipped_with_a_reason(boards):
     assert {s.label for s in boards[1].results.summaries} == {"ekf", "ukf", "kf"}
 
 
+def test_a_large_robot_has_its_own_estimators_only():
+    """Fifteen filters of the whole dynamics of a walking biped take hours."""
+    board = leaderboard.play("biped", 2, duration=0.05)
+    assert set(board.skipped) == set(leaderboard.MAIN)
+    assert board.skipped["ekf"] == "32 coordinates are too many for it"
+    assert {s.label for s in board.results.summaries} == {"contact_ekf", "contact_inekf"}
+
+
 def test_the_runs_are_those_of_estbench_run(boards):
     again = estbench.run("pendulum", ["ekf"], runs=16, duration=0.5)
     assert boards[0].results["ekf"].rmse == again["ekf"].rmse
@@ -73,7 +81,7 @@ def test_files_are_written_and_come_out_the_same(tmp_path):
         leaderboard.reproduce(
             tmp_path / name, 3, ["pendulum"], ["kf", "ekf"], workers=2, say=said.append
         )
-    assert said == ["pendulum: 3 runs of 2 estimators"] * 2
+    assert said == ["pendulum: 3 runs"] * 2
     rows = [
         [
             {k: v for k, v in row.items() if not k.startswith("cost")}

@@ -3,7 +3,7 @@ from rich.console import Console
 
 import estbench
 from estbench.scenario.load import resolve
-from estbench.tables.columns import Column, Table, fit
+from estbench.tables.columns import Column, Table, fit, tabulate
 
 NAME = "an_estimator/with_a_long_name"
 KEY = (Column("name", (NAME, "ekf"), "left"),)
@@ -69,3 +69,8 @@ def test_long_labels_in_the_tables_of_results():
         rows = [line for line in lines.splitlines() if line.startswith(label)]
         assert rows
         assert lines.count(label) == len(rows) + 1  # and the heading of its errors
+
+
+def test_a_table_whose_last_column_is_of_words_is_shown():
+    lines = shown(tabulate("words", ("<a", "b", "<c"), [("x", "1", "last")]), 40)
+    assert [line.split() for line in lines[::2]] == [["a", "b", "c"], ["x", "1", "last"]]
