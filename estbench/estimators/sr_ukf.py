@@ -78,7 +78,8 @@ class SquareRootUKF(FactorEstimator):
     ) -> tuple[FactorBelief, Innovation]:
         """The factor of [ν; x ⊖ x̂⁻] is [[S^½, 0], [K S^½, L⁺]]; x̂⁺ = x̂⁻ ⊞ K ν."""
         space, output = self.model.space, self.model.output(channels)
-        points = self.rule.draw(space, belief.mean, belief.factor)
+        spread = self.rule.points @ belief.factor.mT
+        points = space.plus(belief.mean[:, None], spread)
         images = self.model.measurement(points, u, t, channels)
         images, mask = extended(space, output, points, images, mask)
         predicted, residuals = self.rule.residuals(output, images)
@@ -89,7 +90,6 @@ class SquareRootUKF(FactorEstimator):
         runs, m = residual.shape
         noise = np.zeros((runs, m + space.n, m))
         noise[:, :m] = noise_root(self.model.measurement_noise(t, channels), mask, runs)
-        spread = self.rule.points @ belief.factor.mT
         both = np.concatenate([residuals, spread], axis=-1)
         joint = weighted_factor(self.rule.cov_weights, both, noise)
         innovation = factor_innovation(residual, joint[:, :m, :m], mask)

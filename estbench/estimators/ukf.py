@@ -91,8 +91,8 @@ class SigmaPointFilter(GaussianEstimator):
         if points is None:
             factor = psd_root(belief.cov)
             fault = failed_factor(factor, belief.cov)
-            points = rule.draw(space, belief.mean, factor)
             spread = rule.points @ factor.mT
+            points = space.plus(belief.mean[:, None], spread)
         else:
             spread = space.line.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
