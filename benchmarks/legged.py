@@ -5,7 +5,7 @@ Filters of the whole dynamics (`ekf`, `ukf`, `rotated_ukf`) and of IMU and leg k
 (`contact_ekf`, `contact_inekf`, and GTSAM's where it is installed) on the same truth and readings.
 Prints the table of docs/contact.md: verdict, NEES/n of the whole state and of the base alone (pose
 and velocity, 9 coordinates), the RMSE of the velocity of the base, the error of position and yaw at
-the end, which no sensor shows, and the cost.
+the end, which no sensor shows, and the cost; below it the reason of each verdict.
 """
 
 import argparse
@@ -62,6 +62,7 @@ def main() -> None:
         seconds = prepared.times[-1]
         print(f"\n## {robot}, seed {args.seed}, {args.runs} runs of {seconds:g} s")
         print("| " + " | ".join(HEAD) + " |\n" + "|---" * len(HEAD) + "|", flush=True)
+        reasons: list[str] = []
         for label, traces in traced(prepared, runs, keep_cov=True):
             assert traces is not None
             record = records.reduce(traces, prepared.times, section, "summary")
@@ -72,6 +73,8 @@ def main() -> None:
             cells = [f"`{label}`", str(s.verdict), quantity(s.anees), quantity(s.anis)]
             cells += [*base_row(traces, nv), f"{s.cost:.0f}"]
             print("| " + " | ".join(cells) + " |", flush=True)
+            reasons += [f"`{label}`: {s.reason}"] if s.reason else []
+        print("\n" + "\n".join(reasons), flush=True)
 
 
 if __name__ == "__main__":

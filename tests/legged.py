@@ -12,7 +12,7 @@ LEG = """
 <body name="{n}x"><joint name="{n}_x" type="slide" axis="1 0 0"/><geom size=".01"/>
 <body name="{n}y"><joint name="{n}_y" type="slide" axis="0 1 0"/><geom size=".01"/>
 <body name="{n}z" pos="{p}"><joint name="{n}_z" type="slide" axis="0 0 1"/><geom size=".01"/>
-<site name="{n}_foot" pos="0 0 -.1"/></body></body></body>"""
+{sole}<site name="{n}_foot" pos="0 0 -.1"/></body></body></body>"""
 SLIDES = """<mujoco><option timestep="0.01"/><default><geom mass=".1"/></default><worldbody>
 <body name="base"><freejoint name="root"/><geom size=".1"/>
 <site name="imu" pos="{offset}" quat="{axes}"/>{legs}</body></worldbody>
@@ -22,12 +22,14 @@ SLIDES = """<mujoco><option timestep="0.01"/><default><geom mass=".1"/></default
 NOISE = {"gyro": 0.01, "accelerometer": 0.1, "touch": 0.5, "encoder": 0.002}
 
 
-def xml(offset="0 0 0", axes="1 0 0 0"):
-    """MJCF of the robot with its IMU at a place of the base."""
+def xml(offset="0 0 0", axes="1 0 0 0", radius=None):
+    """MJCF of the robot with its IMU at a place of the base, its feet points or spheres."""
+    sole = "" if radius is None else f'<geom pos="0 0 -.1" size="{radius}"/>'
     return SLIDES.format(
         offset=offset,
         axes=axes,
-        legs=LEG.format(n="a", p=".2 .1 -.3") + LEG.format(n="b", p="-.2 -.1 -.3"),
+        legs=LEG.format(n="a", p=".2 .1 -.3", sole=sole)
+        + LEG.format(n="b", p="-.2 -.1 -.3", sole=sole),
         encoders="".join(
             f'<jointpos name="{n}_{a}_encoder" joint="{n}_{a}"/>' for n in "ab" for a in AXES
         ),

@@ -17,6 +17,7 @@ from estbench.estimators.foot_readings import FootReadings, joint_filter, joint_
 from estbench.estimators.linear import joseph
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range
+from estbench.estimators.standing_feet import rolling, slipping
 from estbench.estimators.update import correct, mark_failed
 from estbench.models.legged import LeggedModel, Legs
 from estbench.models.protocol import Channels
@@ -40,7 +41,10 @@ class ContactBelief(Gaussian):
         imu_cov: covariance of this reading.
         joints: angle and velocity of each joint.
         joint_cov: their variances and covariance: angle, both, velocity.
-        standing: whether each foot is held to be where it was.
+        standing: whether each foot is on the ground.
+        measured: whether it was held to be where it was at the last reading.
+        age: time since it came down, s.
+        rolling: velocity in the world with which it rolls, m/s.
     """
 
     imu: Float[Array, "run 6"]
@@ -48,6 +52,9 @@ class ContactBelief(Gaussian):
     joints: Float[Array, "run 2 joint"]
     joint_cov: Float[Array, "run 3 joint"]
     standing: Bool[Mask, "run foot"]
+    measured: Bool[Mask, "run foot"]
+    age: Float[Array, "run foot"]
+    rolling: Float[Array, "run foot 3"]
 
 
 @dataclass(frozen=True)
@@ -62,24 +69,29 @@ class ContactAided:
         model: one with legs (`models.legged.LeggedModel`).
         threshold: N, touch from which a foot stands; default a quarter of the weight of the robot
             over the number of feet.
-        foot_noise: m/√s, random walk of a standing foot: it slips and rolls.
+        foot_noise: m/√s, random walk of a standing foot: it slides and sinks.
         kinematic_noise: m, std of a foot in the IMU's frame beyond the noise of the encoders.
         gyro_bias: rad/s, std of the bias at the start.
         gyro_walk: rad/s/√s, its random walk.
         accelerometer_bias: m/s², std of the bias at the start.
         accelerometer_walk: m/s²/√s, its random walk.
         joint_acceleration: rad/s²/√Hz, white acceleration with which the joints are smoothed.
+        slip_gate: probability that a foot that stands passes the gate. One that does not slips: it
+            starts anew where the joints say (`standing_feet.slipping`); 1: no foot slips.
+        settle: s from touch-down until a foot is measured: it slides and sinks before.
     """
 
     model: LeggedModel
     threshold: float | None = None
-    foot_noise: float = 0.01
+    foot_noise: float = 0.004
     kinematic_noise: float = 0.0
     gyro_bias: float = 0.0
     gyro_walk: float = 0.0
     accelerometer_bias: float = 0.0
     accelerometer_walk: float = 0.0
     joint_acceleration: float = 3.0
+    slip_gate: float = 0.999
+    settle: float = 0.01
     _legs: Legs = field(init=False, repr=False)
     _base: BaseState = field(init=False, repr=False)
     _readings: FootReadings = field(init=False, repr=False)
@@ -99,9 +111,10 @@ class ContactAided:
             raise EstimatorError(f"{name}: the model has no legs; use ekf, ukf, or a MuJoCo model")
         for setting in (
             "foot_noise", "kinematic_noise", "gyro_bias", "gyro_walk", "accelerometer_bias",
-            "accelerometer_walk", "joint_acceleration",
+            "accelerometer_walk", "joint_acceleration", "settle",
         ):  # fmt: skip
             in_range(self, setting, 0.0)
+        in_range(self, "slip_gate", 0.0, 1.0, low_open=True)
         if self.threshold is not None:
             in_range(self, "threshold", 0.0)
         force = self.threshold
@@ -134,8 +147,10 @@ class ContactAided:
         belief = ContactBelief(
             state, self._own(state, whole), np.zeros(runs, np.uint8), imu=imu, imu_cov=imu_cov,
             joints=joints, joint_cov=joint_cov, standing=np.zeros((runs, feet), bool),
+            measured=np.zeros((runs, feet), bool), age=np.zeros((runs, feet)),
+            rolling=np.zeros((runs, feet, 3)),
         )  # fmt: skip
-        s, J = self._legs.feet(joints[:, 0])
+        s, J, _ = self._legs.feet(joints[:, 0])
         noise = (J * joint_cov[:, 0, None, None, :]) @ J.mT
         return self._placed(belief, s, noise, np.ones((runs, feet), bool))
 
@@ -152,10 +167,13 @@ class ContactAided:
         out[:, :4] = rotation.normalize(rotation.multiply(m[:, :4], rotation.exp(rate * dt)))
         out[:, 4:7] += push * dt
         out[:, 7:10] += m[:, 4:7] * dt + 0.5 * push * dt**2
+        out[:, 10:k] += belief.rolling.reshape(len(m), -1) * dt
         F = self._transition(m, out, rate, force, dt)
         cov = symmetrize(F @ belief.cov @ F.mT + self._noise(belief, out, F, u, t, dt))
         joints, joint_cov = joint_step(belief.joints, belief.joint_cov, self.joint_acceleration, dt)
-        ahead = replace(belief, mean=out, cov=cov, joints=joints, joint_cov=joint_cov)
+        ahead = replace(
+            belief, mean=out, cov=cov, joints=joints, joint_cov=joint_cov, age=belief.age + dt
+        )
         return cast(ContactBelief, mark_failed(ahead))
 
     def update(
@@ -180,19 +198,25 @@ class ContactAided:
         imu_cov = np.where(read.felt[:, None, None], self._readings.imu_cov(t), belief.imu_cov)
         belief = replace(belief, imu=read.imu, imu_cov=imu_cov, joints=joints, joint_cov=joint_cov)
         touching = self._readings.touching(belief.standing, y, channels, mask)
-        s, J = self._legs.feet(read.joints)
+        s, J, turns = self._legs.feet(read.joints)
         noise = (J * self._readings.encoder_cov(t)) @ J.mT
         noise = noise + self.kinematic_noise**2 * identity(3)
-        measured = belief.standing & touching & read.legs
         residual, H, R = self._kinematics(belief.mean, s, noise)
         PHt = belief.cov @ H.mT
-        c = correct(residual, symmetrize(H @ PHt + R), PHt, np.repeat(measured, 3, axis=1))
+        S = symmetrize(H @ PHt + R)
+        measured = belief.standing & touching & read.legs & (belief.age > self.settle - 1e-9)
+        measured &= ~slipping(residual, S, self.slip_gate)
+        c = correct(residual, S, PHt, np.repeat(measured, 3, axis=1))
         cov = symmetrize(joseph(belief.cov, c.gain, H, R))
         corrected = mark_failed(self._plus(belief, c.delta, cov), c.fault)
         belief = cast(ContactBelief, corrected)
         belief = self._placed(belief, s, noise, read.legs & ~measured)
         standing = np.where(read.legs, touching, belief.standing & touching)
-        return replace(belief, standing=standing), self._readings.spread(c.innovation, channels, y)
+        belief = replace(
+            belief, standing=standing, measured=measured, rolling=self._rolling(belief, turns),
+            age=np.where(belief.standing & standing, belief.age, 0.0),
+        )  # fmt: skip
+        return belief, self._readings.spread(c.innovation, channels, y)
 
     def mean(self, belief: ContactBelief) -> Float[Array, "run nx"]:
         """x̂: the base of the filter, the joints of the encoders."""
@@ -210,6 +234,13 @@ class ContactAided:
         std = np.sqrt(np.diagonal(belief.cov, axis1=-2, axis2=-1)[:, -6:])
         names = [f"{c}.{a}" for c in (self._legs.gyro, self._legs.accelerometer) for a in "xyz"]
         return {f"bias.{n}": (belief.mean[:, i - 6], std[:, i]) for i, n in enumerate(names)}
+
+    def _rolling(self, belief: ContactBelief, turns: Array) -> Float[Array, "run foot 3"]:
+        """Velocity with which the feet roll on level ground, if they are on it."""
+        k, legs = 10 + 3 * len(self._legs.touches), self._legs
+        up = -legs.gravity / np.linalg.norm(legs.gravity)
+        rate, R = belief.imu[:, :3] - belief.mean[:, k : k + 3], rotation.matrix(belief.mean[:, :4])
+        return rolling(rate, turns, belief.joints[:, 1], R, legs.radii, up)
 
     def _noise(
         self, belief: ContactBelief, out: Array, F: Array, u: Array, t: float, dt: float

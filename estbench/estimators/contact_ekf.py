@@ -40,7 +40,7 @@ class ContactEKF(ContactAided):
 
     Attributes:
         model, threshold, foot_noise, kinematic_noise, gyro_bias, gyro_walk, accelerometer_bias,
-        accelerometer_walk, joint_acceleration: as in `ContactAided`.
+        accelerometer_walk, joint_acceleration, slip_gate, settle: as in `ContactAided`.
     """
 
     _space: Manifold = field(init=False, repr=False)

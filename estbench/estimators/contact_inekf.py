@@ -34,7 +34,7 @@ class ContactInEKF(ContactAided):
 
     Attributes:
         model, threshold, foot_noise, kinematic_noise, gyro_bias, gyro_walk, accelerometer_bias,
-        accelerometer_walk, joint_acceleration: as in `ContactAided`.
+        accelerometer_walk, joint_acceleration, slip_gate, settle: as in `ContactAided`.
     """
 
     def _transition(

@@ -12,9 +12,14 @@ from estbench.shapes import Array, Bool, Float, Int, Mask
 
 FootKinematics = Callable[
     [Float[Array, "run joint"]],
-    tuple[Float[Array, "run foot 3"], Float[Array, "run foot 3 joint"]],
+    tuple[
+        Float[Array, "run foot 3"],
+        Float[Array, "run foot 3 joint"],
+        Float[Array, "run foot 3 joint"],
+    ],
 ]
-"""Joint angles -> s, the feet in the frame of the IMU, m, and their Jacobians ∂s/∂q."""
+"""Joint angles -> s, the feet in the frame of the IMU, m; their Jacobians ∂s/∂q, and those of their
+orientation, T: a foot turns against the IMU by T dq."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +46,7 @@ class Legs:
         moves: whether a joint moves a foot.
         order: all channels of the model, in the order of a whole measurement.
         feet: the kinematics.
+        radii: of spherical feet, which roll, with the foot's point at the centre, m; else 0.
     """
 
     gyro: str
@@ -58,6 +64,7 @@ class Legs:
     moves: Bool[Mask, "foot joint"]
     order: tuple[str, ...]
     feet: FootKinematics
+    radii: Float[Array, " foot"]
 
 
 @runtime_checkable

@@ -87,6 +87,7 @@ def find(
         kinematics.moves,
         tuple(order),
         kinematics,
+        np.array([_radius(model, site) for site in sites]),
     )
 
 
@@ -105,8 +106,12 @@ class _Kinematics:
 
     def __call__(
         self, q: Float[Array, "run joint"]
-    ) -> tuple[Float[Array, "run foot 3"], Float[Array, "run foot 3 joint"]]:
-        """Positions s and Jacobians ∂s/∂q, m and m per unit of the joint."""
+    ) -> tuple[
+        Float[Array, "run foot 3"],
+        Float[Array, "run foot 3 joint"],
+        Float[Array, "run foot 3 joint"],
+    ]:
+        """Positions s, and Jacobians of position and of orientation."""
         model = self.backend.model
         x = np.zeros((len(q), self.backend.nx))
         x[:, self.root + 3] = 1.0
@@ -117,7 +122,20 @@ class _Kinematics:
         turn = np.cross(axis[:, None], arm)
         columns = np.where(self.slides[:, None], axis[:, None], turn)
         columns = np.where(self.moves[..., None], columns, 0.0)
-        return (site - self.offset) @ self.axes, (columns @ self.axes).mT
+        turns = np.where(self.moves[..., None] & ~self.slides[:, None], axis[:, None], 0.0)
+        return (site - self.offset) @ self.axes, (columns @ self.axes).mT, (turns @ self.axes).mT
+
+
+def _radius(model: mujoco.MjModel, site: int) -> float:
+    """Radius of a spherical foot, a geom that collides and has the site at its centre; else 0."""
+    body = int(model.site_bodyid[site])
+    for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if collides and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
+            radius = float(model.geom_size[geom, 0])
+            if np.linalg.norm(model.geom_pos[geom] - model.site_pos[site]) < 0.01 * radius:
+                return radius
+    return 0.0
 
 
 def _moves(

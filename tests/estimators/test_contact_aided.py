@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.stats
 
 from estbench.errors import EstimatorError
 from estbench.estimators import registry
 from estbench.estimators.contact_ekf import ContactEKF
 from estbench.estimators.contact_inekf import ContactInEKF
 from estbench.estimators.foot_readings import joint_filter, joint_step
+from estbench.estimators.standing_feet import rolling, slipping
 from estbench.models.seen_noise import SeenNoise
 from estbench.spaces import rotation
 from tests.helpers import nonlinear_model, random_cov
@@ -41,7 +43,7 @@ def started(estimator, runs=2, seed=0, scale=0.3):
     cov = random_cov(rng, estimator.n, runs, 0.01)
     return replace(
         belief, mean=mean, cov=cov, imu=imu, imu_cov=np.repeat(imu_cov[None], runs, axis=0),
-        standing=np.ones(belief.standing.shape, bool),
+        standing=np.ones(belief.standing.shape, bool), age=np.ones(belief.age.shape),
     )  # fmt: skip
 
 
@@ -127,7 +129,7 @@ def test_the_invariant_error_propagates_independently_of_the_estimate(hover):
 
 def test_the_update_of_the_invariant_filter_is_that_of_its_matrices(hover):
     """X̂⁺ = exp([K ν]) X̂ in SE_4(3), ν from Y = X⁻¹ b as in Hartley et al. 2020, eq. 19-23."""
-    estimator = ContactInEKF(hover)
+    estimator = ContactInEKF(hover, slip_gate=1)
     prior = started(estimator, runs=1)
     rng = np.random.default_rng(4)
     q = 0.1 * rng.standard_normal((1, 6))
@@ -166,7 +168,7 @@ def test_the_update_of_the_invariant_filter_is_that_of_its_matrices(hover):
 
 def test_the_update_of_the_error_state_filter_is_a_kalman_filter(hover):
     """H by differences of Rᵀ (d - p), Joseph's form, and the reset of the rotation's tangent."""
-    estimator = ContactEKF(hover, **BIASED)
+    estimator = ContactEKF(hover, slip_gate=1, **BIASED)
     prior = started(estimator, runs=1)
     q = 0.05 * np.random.default_rng(5).standard_normal((1, 6))
     y = reading(prior.imu, q, np.full((1, 2), 99.0))
@@ -201,7 +203,7 @@ def test_the_update_of_the_error_state_filter_is_a_kalman_filter(hover):
 
 def test_both_are_the_kalman_filter_where_the_attitude_is_known(hover):
     """With R exact and no bias the feet, p and v are a linear system."""
-    filters = [kind(hover, foot_noise=0.02) for kind in (ContactEKF, ContactInEKF)]
+    filters = [kind(hover, foot_noise=0.02, slip_gate=1) for kind in (ContactEKF, ContactInEKF)]
     rng = np.random.default_rng(6)
     x = np.concatenate([hover.mjmodel.qpos0, np.zeros(hover.mjmodel.nv)])[None]
     P0 = np.diag(np.where(np.char.find(hover.space.names, "root.r") >= 0, 0.0, 0.01))[None]
@@ -219,7 +221,13 @@ def test_both_are_the_kalman_filter_where_the_attitude_is_known(hover):
         q = 0.01 * rng.standard_normal((1, 6))
         y = reading(np.concatenate([np.zeros(3), force])[None], q, np.full((1, 2), 99.0))
         for i, f in enumerate(filters):
-            b = replace(beliefs[i], imu=y[:, :6], imu_cov=quiet, standing=np.ones((1, 2), bool))
+            b = replace(
+                beliefs[i],
+                imu=y[:, :6],
+                imu_cov=quiet,
+                standing=np.ones((1, 2), bool),
+                age=np.ones((1, 2)),
+            )
             b = f.predict(b, np.zeros((1, 0)), 0.0, DT)
             beliefs[i], _ = f.update(b, y, np.zeros((1, 0)), DT)
         m, P = F @ m + B @ (force + G), F @ P @ F.T + Q + B @ B.T * 0.1**2
@@ -231,16 +239,16 @@ def test_both_are_the_kalman_filter_where_the_attitude_is_known(hover):
         np.testing.assert_allclose(b.cov[0, 3:15, 3:15], P, atol=1e-10)
 
 
-def motion(model, steps, bias, turn=0.4, rise=0.5):
-    """A base that turns and rises over two fixed feet; states, and noise-free readings."""
-    legs = model.legs
-    place = np.array([[0.2, 0.1, -0.4], [-0.2, -0.1, -0.4]])
+def motion(steps, bias, turn=0.4, rise=0.5, radius=0.0):
+    """A base that turns and rises over two feet that roll; states, and noise-free readings."""
+    rest = np.array([[0.2, 0.1, -0.4], [-0.2, -0.1, -0.4]])
+    place = rest
     rate, q, p, v = np.array([0.1, -0.2, turn]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)
     R_i, at, y = [], [], []
     for k in range(steps + 1):
         R = rotation.matrix(q)
         force = np.array([0.3, -0.2, rise]) * np.cos(k * DT * 6.0)
-        joints = (place - p) @ R - place
+        joints = (place - p) @ R - rest
         specific = R.T @ (force - G)
         at.append(np.concatenate([p, q, joints.ravel(), v, rate, np.zeros(6)]))
         y.append(np.concatenate([rate + bias[:3], specific + bias[3:], joints.ravel(), [9.0, 9.0]]))
@@ -248,7 +256,7 @@ def motion(model, steps, bias, turn=0.4, rise=0.5):
         p = p + v * DT + 0.5 * force * DT**2
         v = v + force * DT
         q = rotation.multiply(q, rotation.exp(rate * DT))
-    assert legs.touches == ("a_touch", "b_touch")
+        place = place + radius * np.array([rate[1], -rate[0], 0.0]) * DT  # r ω x e_z
     return np.array(at), np.array(y)
 
 
@@ -256,7 +264,7 @@ def motion(model, steps, bias, turn=0.4, rise=0.5):
 def test_without_noise_it_is_exact_and_finds_velocity_attitude_and_biases(kind, hover):
     """Roll, pitch, velocity and biases are found from the feet; position and yaw are not."""
     bias = np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.1])
-    x, y = motion(hover, 400, bias)
+    x, y = motion(400, bias)
     space, u = hover.space, np.zeros((2, 0))
     std = np.full(space.n, 1e-3)
     std[:6], std[12:15] = 0.05, 0.2
@@ -291,6 +299,71 @@ def test_without_noise_it_is_exact_and_finds_velocity_attitude_and_biases(kind, 
 
 
 @BOTH
+def test_feet_that_roll(kind):
+    """Spheres of 50 mm that turn with the base: exact, and a point that stands is 0.1 m off."""
+    x, y = motion(50, np.zeros(6), radius=0.05)
+    u, errors = np.zeros((1, 0)), []
+    for radius in (0.05, None):
+        model = robot(xml(radius=radius))
+        estimator = kind(model, threshold=5.0, slip_gate=1.0)
+        belief = estimator.init(x[:1], 1e-4 * np.eye(model.space.n)[None])
+        for k, reading in enumerate(y):
+            belief = estimator.predict(belief, u, k * DT, DT) if k else belief
+            belief, _ = estimator.update(belief, reading[None], u, k * DT)
+        errors.append(model.space.minus(x[-1:], estimator.mean(belief))[0, np.r_[0:6, 12:18]])
+    np.testing.assert_allclose(errors[0], 0.0, atol=1e-8)
+    assert np.abs(errors[1]).max() > 1e-3
+
+
+def test_the_velocity_of_a_foot_that_rolls():
+    """A wheel of radius r, turned by 90°: r w along its way, half of w from a joint."""
+    R = rotation.matrix(np.array([[HALF, 0.0, 0.0, HALF]]))
+    turns = np.zeros((1, 2, 3, 2))
+    turns[0, :, 1, 0], turns[0, 1, 0, 1] = 1.0, 1.0
+    up, radii = np.array([0.0, 0.0, 1.0]), np.array([0.2, 0.1])
+    found = rolling(np.array([[0.0, 1.5, 9.0]]), turns, np.array([[1.5, 0.5]]), R, radii, up)
+    np.testing.assert_allclose(found[0], [[0.0, 0.6, 0.0], [0.05, 0.3, 0.0]], atol=1e-12)
+    still = rolling(np.ones((1, 3)), turns, np.ones((1, 2)), R, np.zeros(2), up)
+    np.testing.assert_array_equal(still, np.zeros((1, 2, 3)))
+
+
+def test_the_gate_is_that_of_a_foot_alone():
+    rng = np.random.default_rng(2)
+    residual, S = rng.standard_normal((20, 6)), random_cov(rng, 6, 20, 0.3)
+    for gate in (0.5, 0.9):
+        found = slipping(residual, S, gate)
+        for foot in (0, 1):
+            own = np.r_[3 * foot : 3 * foot + 3]
+            nis = [nu[own] @ np.linalg.solve(C[own[:, None], own], nu[own])
+                   for nu, C in zip(residual, S)]  # fmt: skip
+            expected = np.array(nis) > scipy.stats.chi2.ppf(gate, 3)
+            assert 0 < expected.sum() < 20
+            np.testing.assert_array_equal(found[:, foot], expected)
+    assert not slipping(residual, S, 1.0).any()
+
+
+@BOTH
+def test_a_foot_that_slips_or_has_just_come_down_is_where_the_joints_are(kind, hover):
+    x, y = motion(8, np.zeros(6))
+    estimator, u = kind(hover, threshold=5.0, settle=3 * DT), np.zeros((2, 0))
+    belief = estimator.init(np.repeat(x[:1], 2, 0), 1e-4 * np.eye(hover.space.n)[None].repeat(2, 0))
+    y = np.repeat(y[:, None], 2, axis=1)
+    y[:3, 1, 13] = 0.0  # the second foot of the second run comes down at the fourth reading
+    y[6:, 0, 6] += 0.05  # the first foot of the first run slips by 50 mm
+    dof = []
+    for k, reading in enumerate(y):
+        belief = estimator.predict(belief, u, k * DT, DT) if k else belief
+        belief, innovation = estimator.update(belief, reading, u, k * DT)
+        dof.append(innovation.dof.tolist())
+    assert dof == [[0, 0]] * 3 + [[6, 3]] * 3 + [[3, 6], [6, 6], [6, 6]]
+    error = hover.space.minus(np.repeat(x[-1:], 2, 0), estimator.mean(belief))
+    assert np.abs(error[:, np.r_[:6, 12:15]]).max() < 1e-2
+    s, *_ = hover.legs.feet(y[-1, :1, 6:12])
+    world = belief.mean[0, 7:10] + s[0, 0] @ rotation.matrix(belief.mean[0, :4]).T
+    np.testing.assert_allclose(belief.mean[0, 10:13], world, atol=1e-3)
+
+
+@BOTH
 def test_what_it_says_of_the_state_with_the_imu_anywhere_in_the_base(kind):
     """init then mean and cov give the prior of the base back; the joints are independent of it."""
     model = robot(xml(*TURNED))
@@ -312,7 +385,7 @@ def test_what_it_says_of_the_state_with_the_imu_anywhere_in_the_base(kind):
 
 @BOTH
 def test_a_lifted_foot_says_nothing_and_a_reading_that_is_lost_takes_nothing_away(kind, hover):
-    estimator, u = kind(hover), np.zeros((4, 0))
+    estimator, u = kind(hover, slip_gate=1), np.zeros((4, 0))
     belief = started(estimator, runs=4)
     belief = estimator.predict(belief, u, 0.0, DT)
     rng = np.random.default_rng(8)
@@ -328,7 +401,7 @@ def test_a_lifted_foot_says_nothing_and_a_reading_that_is_lost_takes_nothing_awa
     np.testing.assert_allclose(post.cov[3], belief.cov[3], atol=1e-15)
     np.testing.assert_array_equal(post.mean[1, :10], belief.mean[1, :10])
     # Feet in the air are where the joints are; the covariance says so.
-    s, _ = hover.legs.feet(q)
+    s, *_ = hover.legs.feet(q)
     world = belief.mean[1, 7:10] + s[1] @ rotation.matrix(belief.mean[1, :4]).T
     np.testing.assert_allclose(post.mean[1, 10:16].reshape(2, 3), world, atol=1e-12)
     P = estimator._plain(post.mean, post.cov)[1]
@@ -367,6 +440,8 @@ def test_the_joints_filter_is_a_kalman_filter_of_two_states():
     [
         ({"foot_noise": -1.0}, "ContactEKF: foot_noise is -1.0; use a number in"),
         ({"threshold": -1.0}, "ContactEKF: threshold is -1.0; use a number in"),
+        ({"settle": -0.1}, "ContactEKF: settle is -0.1; use a number in"),
+        ({"slip_gate": 1.5}, r"ContactEKF: slip_gate is 1.5; use a number in \(0, 1\]"),
         ({"gyro_walk": "much"}, "ContactEKF: gyro_walk is 'much'; use"),
     ],
 )

@@ -44,14 +44,16 @@ class GtsamInEKF(ContactEKF):
 
     It starts from our belief after the first reading. The biases are not estimated, and the noise
     of a measured foot is one for all times: the mean over the feet of that at the start. The
-    process noise of the base that the IMU does not feel is added to that of the accelerometer. Its
+    process noise of the base that the IMU does not feel is added to that of the accelerometer. Feet
+    do not roll; one that slips or has just come down is put down anew, as in `ContactAided`. Its
     filters change in place and cannot be copied, so readings must not come late, and environments,
     whose rows begin anew, refuse it. The innovation is that of `ContactEKF` at the same prior.
 
     Cost per step: that of `contact_inekf`, run by run. Choose it to check either library.
 
     Attributes:
-        model, threshold, foot_noise, kinematic_noise, joint_acceleration: as in `ContactAided`.
+        model, threshold, foot_noise, kinematic_noise, joint_acceleration, slip_gate, settle: as in
+            `ContactAided`.
         gyro_bias, gyro_walk, accelerometer_bias, accelerometer_walk: zero.
 
     Raises:
@@ -104,13 +106,13 @@ class GtsamInEKF(ContactEKF):
         self._check(belief)
         read = self._readings.sort(belief.imu, belief.joints[:, 0], y, channels, mask)
         touching = self._readings.touching(belief.standing, y, channels, mask) & read.legs
-        s, _ = self._legs.feet(read.joints)
+        s, *_ = self._legs.feet(read.joints)
         for i, one in enumerate(belief.filters):
             contacts = []
             for foot in np.flatnonzero(touching[i]).tolist():
                 contact = library().ContactMeasurement()
                 contact.foot, contact.bodyPoint = foot, s[i, foot]
-                contact.touchdown = not belief.standing[i, foot]
+                contact.touchdown = not ours.measured[i, foot]
                 contacts.append(contact)
             one.processContacts(contacts)
         return self._taken(replace(ours, count=belief.count)), innovation
@@ -141,7 +143,7 @@ class GtsamInEKF(ContactEKF):
         params.footholdProcessSigma = self.foot_noise
         params.useFullContactInitialization = False  # else it waits until all feet stand
         params.useRobustContactNoise = False
-        _, J = self._legs.feet(belief.joints[:, 0])
+        _, J, _ = self._legs.feet(belief.joints[:, 0])
         noise = (J * self._readings.encoder_cov(t)) @ J.mT
         params.contactCovariance = noise.mean(axis=(0, 1)) + self.kinematic_noise**2 * identity(3)
         names = list(self._legs.touches)
