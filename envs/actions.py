@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import EnvError, check_switch
 from estbench.envs.features import LIMIT
 from estbench.robots.layout import control_names
 from estbench.shapes import Array
@@ -28,6 +28,7 @@ class Actions:
     """
 
     def __init__(self, model: mujoco.MjModel, normalize: bool = True):
+        check_switch("normalize_actions", normalize)
         limited = model.actuator_ctrllimited.astype(bool)
         low = np.where(limited, model.actuator_ctrlrange[:, 0], -LIMIT)
         high = np.where(limited, model.actuator_ctrlrange[:, 1], LIMIT)

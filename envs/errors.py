@@ -1,10 +1,16 @@
 """The one exception of the Gymnasium side; it is an `EstbenchError` like all others."""
 
-from estbench.errors import EstbenchError
+from estbench.errors import EstbenchError, shown
 
 
 class EnvError(EstbenchError):
     """An environment cannot be wrapped, or was used outside its contract."""
+
+
+def check_switch(name: str, value: object) -> None:
+    """Refuse a setting that is neither true nor false."""
+    if not isinstance(value, bool):
+        raise EnvError(f"{name} is {shown(value)}; use True or False")
 
 
 def not_running(closed: bool) -> EnvError:

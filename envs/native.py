@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estbench.envs.actions import Actions
 from estbench.envs.episodes import Episodes
-from estbench.envs.errors import EnvError, not_running
+from estbench.envs.errors import EnvError, check_switch, not_running
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.world import World, prepare
 from estbench.scenario.schema import Scenario
@@ -60,6 +60,7 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         camera: str | int | None = None,
         ghost: bool = True,
     ):
+        check_switch("ghost", ghost)
         prepared = prepare(scenario, estimator, sensors, overrides)
         self.world = World(prepared, 1, estimator is not None, look=observe == "raw")
         self._actions = Actions(prepared.plant.model, normalize_actions)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estbench.envs.actions import Actions
 from estbench.envs.episodes import Episodes
-from estbench.envs.errors import EnvError, not_running
+from estbench.envs.errors import EnvError, check_switch, not_running
 from estbench.envs.native import ScenarioEnv
 from estbench.envs.rendering import GhostRenderer
 from estbench.envs.rows import MODES, add_final, reset_mask, row_seeds, vector_info
@@ -88,6 +88,7 @@ class ScenarioVectorEnv(VectorEnv[Array, Array, Array]):
         }
         self.render_mode = render_mode
         self._renderer = GhostRenderer(prepared.plant.model, width, height, camera)
+        check_switch("ghost", ghost)
         self._ghost = ghost and estimator is not None
         self._episodes = Episodes(num_envs)
         self._ended = np.zeros(num_envs, bool)

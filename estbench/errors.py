@@ -5,6 +5,7 @@ line and exits with code 2.
 """
 
 import difflib
+import os
 import sys
 import traceback
 from collections.abc import Iterable
@@ -87,6 +88,28 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     if close:
         return " (did you mean " + " or ".join(f"'{c}'" for c in close) + "?)"
     return f" (known: {', '.join(known)})" if known else ""
+
+
+def shown(value: object) -> str:
+    """A value in one line of a message: that of an array has many."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def given_path(what: str, value: object, error: type[EstbenchError]) -> Path:
+    """The path that a user gives.
+
+    Raises:
+        error: it is no text or path, or no file system has such a name; `what` begins the message.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise error(f"{what} is {shown(value)}; use a path")
+    path = Path(value)
+    try:
+        path.exists()  # most wrong names are no error, but only do not exist
+    except OSError as wrong:
+        raise error(f"{what} is '{str(path)[:40]}...': {wrong.strerror}") from None
+    return path
 
 
 def user_error_location(error: BaseException) -> str:

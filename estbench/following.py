@@ -110,17 +110,18 @@ def follow(
     model = model if isinstance(model, Model) else None
     mean, cov = checked_prior(mean, cov, None if model is None else model.space)
     y = real("y is", y, "(step, run, ny)")
+    u = None if u is None else real("u is", u, "(step, run, nu)")
     for name, given in (("y", y), ("u", u)):
-        if given is not None and not np.ndim(given):
+        if given is not None and not given.ndim:
             raise DimensionError(f"{name} is {given!r}; expected an array (step, run, ...)")
-    ny, nu = (np.shape(y)[-1], np.shape(u)[-1] if u is not None else 0)
+    ny, nu = y.shape[-1], 0 if u is None else u.shape[-1]
     if model is not None:
         ny, nu = model.output().nx, model.nu
     if y.ndim != 3 or y.shape[1:] != (len(mean), ny):
         raise DimensionError(f"y has shape {y.shape}; expected (step, {len(mean)}, {ny})")
     clock = _times(times, len(y))
     count, runs = len(clock) - 1, len(mean)
-    controls = np.zeros((count, runs, nu)) if u is None else real("u is", u, "(step, run, nu)")
+    controls = np.zeros((count, runs, nu)) if u is None else u
     if controls.shape != (count, runs, nu):
         raise DimensionError(
             f"u has shape {controls.shape}; expected {(count, runs, nu)}, one control for each "

@@ -105,6 +105,7 @@ def test_an_estimator_that_shows_no_model_is_given_what_was_measured(given_u):
         ({"y": np.zeros((STEPS, 2))}, r"y has shape \(12, 2\); expected \(step, 5, 2\)"),
         ({"y": np.zeros((STEPS, RUNS, 3))}, r"y has shape \(12, 5, 3\); expected \(step, 5, 2\)"),
         ({"u": np.zeros((STEPS - 1, RUNS, 1))}, r"u has shape \(11, 5, 1\); expected \(12, 5, 1\)"),
+        ({"u": [[1, 2], [3]]}, r"u is list of object; expected float64 numbers, \(step, run, nu\)"),
         (
             {"times": np.arange(STEPS)},
             r"u has shape \(12, 5, 1\); expected \(11, 5, 1\), one",

@@ -21,7 +21,8 @@ def cases(count: int, seed: int) -> Iterator[Case]:
     for i in range(count):
         rng = np.random.default_rng((seed, 2, i))
         text, odd = _mjcf(rng)
-        yield Case(f"MJCF {i}: {', '.join(odd) or 'plain'}", _Run(text))
+        wild = any(part in NUMBERS for part in odd)
+        yield Case(f"MJCF {i}: {', '.join(odd) or 'plain'}", _Run(text), wild)
 
 
 def _mjcf(rng: np.random.Generator) -> tuple[str, list[str]]:

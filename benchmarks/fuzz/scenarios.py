@@ -1,11 +1,17 @@
-"""Scenarios with one to three values that do not belong where they stand."""
+"""Scenarios with one to three strange values.
+
+In every second scenario a value is one that its key takes by itself, so that the scenario passes
+the schema and the values meet further inside; in the others it is any.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 import tomli_w
+from pydantic import ValidationError, create_model
+from pydantic.fields import FieldInfo
 
 import estbench
 from benchmarks.fuzz.case import Case
@@ -23,7 +29,67 @@ WILD: tuple[Any, ...] = (
     [[1, 2], [3]],
 )  # fmt: skip
 """Values that no key takes; some are texts or counts that a key may take."""
-ODD: tuple[Any, ...] = (0, 1, 2, 0.5, 1e-12, 1e-6, 1e6, 1e12, [0.1], {"*": 0.1}, "linear", 1000)
+ODD: tuple[Any, ...] = (
+    0,
+    1,
+    2,
+    0.5,
+    1e-12,
+    1e-6,
+    1e6,
+    1e12,
+    [0.1],
+    {"*": 0.1},
+    "linear",
+    1000,
+    0.0,
+    1.0,
+    1e-15,
+    1e15,
+    1e-7,
+    1e-3,
+    3.0,
+    30.0,
+    1e9,
+    -1.0,
+    0.999,
+    2**31 - 1,
+    7,
+    False,
+    [0],
+    [1, 0],
+    [0.1, 0.2],
+    [-1.0],
+    [1e15],
+    {"*": 0.0},
+    {"*": 1e15},
+    {"*": -1.0},
+    {"*": [0.1]},
+    [[1.0]],
+    [[-1.0]],
+    [[0.0]],
+    [[1.0, 0.0], [0.0, 1.0]],
+    [[0.01, 2.0]],
+    [[0.01, 2.0], [0.005, 1.0]],
+    [[1e9, 1e15]],
+    ["encoder"],
+    ["encoder", "encoder"],
+    "encoder",
+    "hinge",
+    "math:sin",
+    "ekf",
+    "reference",
+    {"hinge": 1.0},
+    {"body_mass.*": 1e9},
+    {"body_mass.1": 0.0},
+    {"opt.timestep": 1.0},
+    {"dof_damping.*": -1.0},
+    {"body_mass.1": {"std": 1e9}},
+    {"type": "gyro", "object": "*"},
+    {"type": "jointpos", "object": 0},
+    {"type": "clock"},
+    {"type": "framepos", "object": 10**6},
+)
 """Values that a key may take or not."""
 ESTIMATORS = (
     "ekf", "ukf", "kf", "ckf", "iekf", "sr_ekf", "sr_ukf", "enkf", "pf", "ghkf", "imm",
@@ -36,10 +102,10 @@ SETTINGS = ("size", "order", "alpha", "kappa", "iterations", "window", "substeps
 
 def keys(
     section: type[Section] = Scenario, path: tuple[str, ...] = ()
-) -> Iterator[tuple[str, ...]]:
+) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
     """Every key of a section and of the sections in it; a table of sections has the entry `*`."""
     for name, field in section.model_fields.items():
-        yield (*path, name)
+        yield (*path, name), field
         options = [field.annotation, *get_args(field.annotation)]
         table = any(str(getattr(o, "__origin__", "")) == "<class 'dict'>" for o in options)
         inner = [*options, *(arg for o in options for arg in get_args(o))]
@@ -48,32 +114,54 @@ def keys(
                 yield from keys(option, (*path, name, *(("*",) if table else ())))
 
 
+def words(annotation: Any) -> list[str]:
+    """The literals of a type."""
+    found = [] if get_origin(annotation) is not Literal else [*get_args(annotation)]
+    return found + [word for arg in get_args(annotation) for word in words(arg)]
+
+
+def takes(field: FieldInfo) -> list[Any]:
+    """The strange values, and the literals, that a key takes by itself."""
+    fields: dict[str, Any] = {"value": (field.annotation, field)}
+    model = create_model("Key", __base__=Section, **fields)
+    taken: list[Any] = []
+    for value in (*WILD, *ODD, *words(field.annotation)):
+        try:
+            model.model_validate({"value": value})
+        except ValidationError:
+            continue
+        taken.append(value)
+    return taken
+
+
 def cases(count: int, seed: int) -> Iterator[Case]:
     """Mutated scenarios."""
-    known = sorted(set(keys()))
+    known = dict(sorted(dict(keys()).items()))
+    taken = {path: values for path, field in known.items() if (values := takes(field))}
     for i in range(count):
         rng = np.random.default_rng((seed, 1, i))
         robot = str(rng.choice(list(ROBOTS)))
         data = load(robot).model_dump(mode="json", exclude_none=True)
         data["simulation"] |= {"runs": 2, "duration": 0.05}
-        data["estimators"] = {str(name): {} for name in rng.choice(ESTIMATORS, 1)}
-        said, wild = [], False
+        label = str(rng.choice(ESTIMATORS))
+        data["estimators"] = {label: {}}
+        said: dict[str, tuple[Any, bool]] = {}
         for _ in range(int(rng.integers(1, 4))):
+            bad = i % 2 == 1 and bool(rng.random() < 0.7)
+            values: tuple[Any, ...] | list[Any] = WILD if bad else ODD
             if rng.random() < 0.2:
-                label = next(iter(data["estimators"]))
                 path = ("estimators", label, str(rng.choice(SETTINGS)))
             else:
+                paths = list(known if i % 2 else taken)
+                path = paths[rng.integers(len(paths))]
+                values = values if i % 2 else taken[path]
                 names = ROBOTS[robot]
-                path = tuple(
-                    str(rng.choice(names)) if part == "*" else part
-                    for part in known[rng.integers(len(known))]
-                )
-            bad = bool(rng.random() < 0.7)
-            value = (WILD if bad else ODD)[rng.integers(len(WILD if bad else ODD))]
+                path = tuple(str(rng.choice(names)) if part == "*" else part for part in path)
+            value = values[rng.integers(len(values))]
             if _assign(data, path, value):
-                said.append(f"{'.'.join(path)}={value!r}")
-                wild |= bad and isinstance(value, float)
-        yield Case(f"{robot}: {', '.join(said)}", _Run(data), wild)
+                said[".".join(path)] = value, bad and isinstance(value, float)
+        name = ", ".join(f"{key}={value!r}" for key, (value, _) in said.items())
+        yield Case(f"{robot}, {label}: {name}", _Run(data), any(wild for _, wild in said.values()))
 
 
 class _Run:

@@ -8,7 +8,8 @@ import numpy as np
 from estbench.bounds import recursion
 from estbench.bounds.linearization import Linearization, Linearized
 from estbench.bounds.recursion import Step
-from estbench.errors import DimensionError
+from estbench.errors import DimensionError, shown
+from estbench.inference.priors import checked_prior, real
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import quiet, solve_lower
@@ -69,9 +70,23 @@ def posterior_bound(
         readings: default all channels at every time but the first.
 
     Raises:
-        DimensionError: an array does not fit the others, or a reading is not within the times.
+        DimensionError: an array is none of real numbers or does not fit the others, times fall, or
+            a reading is not within them.
+        CovarianceError: P₀ is not symmetric positive semidefinite.
     """
     space = model.space
+    times = real("times is", times, "(time,)")
+    x = real("x is", x, "(time, run, nx)")
+    u = None if u is None else real("u is", u, "(time - 1, run, nu)")
+    mean = real("mean is", mean, "x̂₀ of shape (nx,)")
+    cov = real("cov is", cov, "P₀ of shape (n, n)")
+    if mean.ndim != 1 or cov.ndim != 2:
+        raise DimensionError(
+            f"mean has shape {mean.shape} and cov {cov.shape}; expected (nx,) and (n, n)"
+        )
+    checked_prior(mean[None], cov[None], space)
+    if times.ndim != 1 or (np.diff(times) < 0).any() or not np.isfinite(times).all():
+        raise DimensionError(f"times is {shown(times)}; expected rising numbers (time,)")
     if x.ndim != 3 or x.shape[::2] != (len(times), space.nx):
         raise DimensionError(
             f"x has shape {x.shape}; expected ({len(times)}, run, {space.nx}): true states of "

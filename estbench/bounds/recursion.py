@@ -142,6 +142,9 @@ def start(
 def step(before: Variations, now: Step) -> Variations:
     """The variations at the end of an interval, with the readings that have arrived by then.
 
+    No run counts any more when a matrix of this step has no decomposition: its numbers lie too far
+    apart for float64.
+
     Args:
         before: those at its start.
         now: the interval, linearized.
@@ -149,6 +152,14 @@ def step(before: Variations, now: Step) -> Variations:
     before, now = _counted(before, now)
     if not before.counts.any():
         return before
+    try:
+        return _next(before, now)
+    except np.linalg.LinAlgError:
+        return _of_runs(before, np.zeros_like(before.counts))
+
+
+def _next(before: Variations, now: Step) -> Variations:
+    """The variations at the end of an interval; all numbers so far are finite."""
     kept, moved = before.xi.shape[-1], now.F @ before.xi
     mean = _mean(moved) if before.expected is None else _mean(now.F) @ before.factor
     steered = _steering(_mean(mean) if mean.ndim == 3 else mean, now.G) @ (mean - moved)
@@ -281,15 +292,6 @@ def _counted(before: Variations, now: Step) -> tuple[Variations, Step]:
     counts = before.counts.copy()
     for a in arrays:
         counts &= np.isfinite(a).all(axis=(-2, -1))
-    rows = counts[before.counts]
-    factor = before.factor[rows] if before.factor.ndim == 3 else before.factor
-    left = Variations(
-        before.xi[rows], before.cost[rows],
-        factor if counts.any() or factor.ndim == 3 else np.full_like(factor, np.nan),
-        {key: M[rows] for key, M in before.waiting.items()},
-        None if before.expected is None else {k: M[rows] for k, M in before.expected.items()},
-        counts,
-    )  # fmt: skip
     step = Step(
         now.F[counts],
         now.G[counts] if now.G.ndim == 3 else now.G,
@@ -297,7 +299,20 @@ def _counted(before: Variations, now: Step) -> tuple[Variations, Step]:
         [(key, None if here is None else here[counts]) for key, here in now.arrived],
         now.waiting,
     )
-    return left, step
+    return _of_runs(before, counts), step
+
+
+def _of_runs(before: Variations, counts: Mask) -> Variations:
+    """The variations of some of the runs that counted."""
+    rows = counts[before.counts]
+    factor = before.factor[rows] if before.factor.ndim == 3 else before.factor
+    return Variations(
+        before.xi[rows], before.cost[rows],
+        factor if counts.any() or factor.ndim == 3 else np.full_like(factor, np.nan),
+        {key: M[rows] for key, M in before.waiting.items()},
+        None if before.expected is None else {k: M[rows] for k, M in before.expected.items()},
+        counts,
+    )  # fmt: skip
 
 
 def _centred(a: Float[Array, "run k n"]) -> Float[Array, "run k n"]:

@@ -11,7 +11,7 @@ from estbench.estimators import registry
 from estbench.estimators.over import OverAugmented
 from estbench.estimators.protocol import Estimator
 from estbench.estimators.schmidt import SchmidtEKF
-from estbench.estimators.settings import base, names, table
+from estbench.estimators.settings import base, has_model, names, table
 from estbench.models.augmented import Augmented
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
@@ -52,6 +52,7 @@ class BiasFilter(OverAugmented):
     _filter: Estimator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        has_model(self)
         table(self, "settings")
         try:
             augmented = Augmented.build(

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from estbench.estimators.settings import switch
+from estbench.estimators.settings import has_model, switch
 from estbench.estimators.sigma_points import cubature
 from estbench.estimators.ukf import SigmaPointFilter
 
@@ -24,5 +24,6 @@ class CKF(SigmaPointFilter):
     """
 
     def __post_init__(self) -> None:
+        has_model(self)
         switch(self, "redraw")
         object.__setattr__(self, "rule", cubature(self.model.space.n))

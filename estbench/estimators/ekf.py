@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.linear import FORMS, Form, linear_update
 from estbench.estimators.protocol import Innovation
-from estbench.estimators.settings import one_of
+from estbench.estimators.settings import has_model, one_of
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
@@ -29,6 +29,7 @@ class EKF(GaussianEstimator):
     covariance_update: Form = "joseph"
 
     def __post_init__(self) -> None:
+        has_model(self)
         one_of(self, "covariance_update", FORMS)
 
     def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estbench.estimators.beliefs import Fault, check_prior, random_start
 from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
-from estbench.estimators.settings import in_range, one_of, whole
+from estbench.estimators.settings import has_model, in_range, one_of, whole
 from estbench.estimators.update import Correction, correct
 from estbench.models.protocol import Channels, Model
 from estbench.randomness import counter as random
@@ -61,6 +61,7 @@ class EnKF:
     inflation: float = 1.0
 
     def __post_init__(self) -> None:
+        has_model(self)
         one_of(self, "form", ("stochastic", "deterministic"))
         whole(self, "size", 2)
         in_range(self, "inflation", 1.0)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from estbench.errors import EstimatorError
-from estbench.estimators.settings import switch, whole
+from estbench.estimators.settings import has_model, switch, whole
 from estbench.estimators.sigma_points import gauss_hermite
 from estbench.estimators.ukf import SigmaPointFilter
 
@@ -32,6 +32,7 @@ class GHKF(SigmaPointFilter):
     order: int = 3
 
     def __post_init__(self) -> None:
+        has_model(self)
         switch(self, "redraw")
         whole(self, "order", 2, 100)
         n = self.model.space.n

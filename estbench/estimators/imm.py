@@ -11,7 +11,7 @@ from estbench.estimators import registry
 from estbench.estimators.beliefs import Fault, restart, start
 from estbench.estimators.likelihood import log_likelihood
 from estbench.estimators.protocol import Estimator, Innovation
-from estbench.estimators.settings import in_range, table
+from estbench.estimators.settings import has_model, in_range, table
 from estbench.models.protocol import Channels, Model
 from estbench.models.scaled import ScaledNoise
 from estbench.shapes import Array, Bool, Faults, Float, Keys, Mask, UInt
@@ -72,6 +72,7 @@ class IMM:
     _chain: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        has_model(self)
         in_range(self, "switching", 0.0, 1.0)
         table(self, "settings")
         filters = tuple(registry.create(self.base, self.settings, m) for m in self._modes())

@@ -10,6 +10,7 @@ from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.linear import linear_update
 from estbench.estimators.protocol import Innovation
+from estbench.estimators.settings import has_model
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
@@ -53,6 +54,7 @@ class KF(GaussianEstimator):
     u0: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
+        has_model(self)
         given = getattr(self.model, "u0", None) if self.u0 is None else self.u0
         u0 = np.zeros(self.model.nu) if given is None else np.asarray(given)
         if u0.shape != (self.model.nu,) or u0.dtype.kind not in "fi" or not np.isfinite(u0).all():

@@ -10,7 +10,7 @@ from estbench.estimators.enkf import Ensemble, diffuse, draw
 from estbench.estimators.likelihood import log_normalization
 from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
-from estbench.estimators.settings import in_range, whole
+from estbench.estimators.settings import has_model, in_range, whole
 from estbench.estimators.update import correct
 from estbench.models.protocol import Channels, Model
 from estbench.randomness import counter as random
@@ -58,6 +58,7 @@ class ParticleFilter:
     regularization: float = 0.0
 
     def __post_init__(self) -> None:
+        has_model(self)
         whole(self, "size", 2)
         in_range(self, "threshold", 0.0, 1.0)
         in_range(self, "regularization", 0.0)

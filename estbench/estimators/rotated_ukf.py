@@ -6,7 +6,7 @@ import numpy as np
 
 from estbench.estimators.beliefs import Gaussian, random_start
 from estbench.estimators.protocol import Innovation
-from estbench.estimators.settings import below, in_range, switch, whole
+from estbench.estimators.settings import below, has_model, in_range, switch, whole
 from estbench.estimators.sigma_points import SigmaPoints, symmetric
 from estbench.estimators.ukf import SigmaBelief, SigmaPointFilter
 from estbench.randomness.orthogonal import haar
@@ -62,6 +62,7 @@ class RotatedUKF(SigmaPointFilter):
     rotations: int = 1
 
     def __post_init__(self) -> None:
+        has_model(self)
         switch(self, "redraw")
         in_range(self, "omega", 0.0)
         below(self, "centre_weight", 1.0)

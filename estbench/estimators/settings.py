@@ -6,7 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from estbench.errors import EstimatorError
+from estbench.errors import EstimatorError, shown
+
+
+def has_model(estimator: Any) -> None:
+    """Raise unless the estimator's model has a state space."""
+    if not hasattr(estimator.model, "space"):
+        raise EstimatorError(
+            f"{type(estimator).__name__}: model is of type {type(estimator.model).__name__}; give "
+            "a model, e.g. estbench.FunctionModel"
+        )
 
 
 def one_of(estimator: Any, setting: str, allowed: Sequence[str]) -> None:
@@ -96,4 +105,4 @@ def _finite(value: Any) -> bool:
 
 def _refusal(estimator: Any, setting: str, remedy: str) -> EstimatorError:
     value = getattr(estimator, setting)
-    return EstimatorError(f"{type(estimator).__name__}: {setting} is {value!r}; use {remedy}")
+    return EstimatorError(f"{type(estimator).__name__}: {setting} is {shown(value)}; use {remedy}")

@@ -17,7 +17,7 @@ from estbench.estimators.factors import (
 )
 from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
-from estbench.estimators.settings import scaled_rule
+from estbench.estimators.settings import has_model, scaled_rule
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
@@ -50,6 +50,7 @@ class SquareRootUKF(FactorEstimator):
     rule: SigmaPoints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        has_model(self)
         scaled_rule(self)
         rule = scaled(self.model.space.n, self.alpha, self.beta, self.kappa)
         object.__setattr__(self, "rule", rule)

@@ -7,7 +7,7 @@ import numpy as np
 from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
 from estbench.estimators.no_return import extended
 from estbench.estimators.protocol import Innovation
-from estbench.estimators.settings import scaled_rule, switch
+from estbench.estimators.settings import has_model, scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
 from estbench.estimators.update import apply_correction, correct, mark_failed
 from estbench.models.protocol import Channels, Model
@@ -151,6 +151,7 @@ class UKF(SigmaPointFilter):
     kappa: float = 0.0
 
     def __post_init__(self) -> None:
+        has_model(self)
         scaled_rule(self)
         switch(self, "redraw")
         object.__setattr__(

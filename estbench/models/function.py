@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estbench.errors import DimensionError, ModelError
+from estbench.errors import DimensionError, ModelError, shown
 from estbench.models.calls import Matrix, call, matrix_at, numbers
 from estbench.models.differences import Differences
 from estbench.models.protocol import Channels
@@ -70,6 +70,10 @@ class FunctionModel:
             given = getattr(self, name)
             if not callable(given) and (given is not None or name in ("f", "h")):
                 raise ModelError(f"{name} is of type {type(given).__name__}; give a function")
+        for name in ("n_controls", "n_states"):
+            count = getattr(self, name)
+            if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
+                raise DimensionError(f"{name} is {shown(count)}; use a whole number of at least 0")
         Q = _covariance("Q", self.Q, "semidefinite", 0.0, 1.0)
         R = _covariance("R", self.R, "definite", 0.0)
         gain = self.noise_gain

@@ -1,6 +1,7 @@
 """Linear-Gaussian model with feedthrough, x⁺ = A x + B u + w, y = C x + D u + v (source 003)."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,8 @@ class LinearModel:
 
     def __post_init__(self) -> None:
         for name in ("A", "C", "Q", "R", "B", "D"):
-            if (given := getattr(self, name)) is not None:
+            given = getattr(self, name)
+            if given is not None or name not in ("B", "D"):
                 object.__setattr__(self, name, _matrix(name, given))
         n, m = self.A.shape[-1], self.C.shape[-2]
         B = np.zeros((n, 0)) if self.B is None else self.B
@@ -132,7 +134,7 @@ def _affine(M: Array, x: Array, N: Array | None, u: Array) -> Array:
     return out if x.ndim == 3 else out[:, 0]
 
 
-def _matrix(name: str, given: Array) -> Array:
+def _matrix(name: str, given: Any) -> Array:
     """One matrix, or one per run, of real numbers; finite unless it is a covariance."""
     value = matrix_at(name, given)
     if value.ndim not in (2, 3):

@@ -4,7 +4,7 @@ Every compiled model gets the flags of `flags.set_flags`.
 """
 
 from collections.abc import Mapping, Sequence
-from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,22 +28,33 @@ INTEGRATORS = {
 def locate(path: str) -> Path:
     """The file at `package:path/in/package` or at a plain path.
 
+    The package is found, not imported: a path runs no code.
+
     Raises:
         ScenarioError: the package is not installed, or the file does not exist.
     """
     package, colon, inside = path.partition(":")
     if colon and len(package) > 1:  # one letter is a Windows drive
-        try:
-            file = Path(str(resources.files(package) / inside))
-        except ModuleNotFoundError:
-            raise ScenarioError(
-                f"model.path '{path}': package '{package}' is not installed"
-            ) from None
+        file = _folder(package, f"model.path '{path}'") / inside
     else:
         file = Path(path)
     if not file.is_file():
         raise ScenarioError(f"model.path '{path}': no file {file}")
     return file
+
+
+def _folder(package: str, where: str) -> Path:
+    """The folder of an installed package, which may be inside another one (`a.b`)."""
+    top, *inside = package.split(".")
+    try:
+        found = find_spec(top)
+    except ValueError:  # no name of a package
+        found = None
+    if found is None:
+        raise ScenarioError(f"{where}: package '{package}' is not installed")
+    for place in found.submodule_search_locations or ():
+        return Path(place).joinpath(*inside)
+    raise ScenarioError(f"{where}: '{package}' is a module; use package:path/in/package")
 
 
 def read(path: str, sensors: Mapping[str, Any] | None = None) -> mujoco.MjSpec:

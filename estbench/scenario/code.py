@@ -14,28 +14,24 @@ from typing import Any
 from estbench import plugins
 from estbench.errors import TRUST, ScenarioError
 
-_KEYS = ("function", "schedule", "type", "base", "estimator", "path")
+_KEYS = ("function", "schedule", "type", "base", "estimator")
 _TARGET = re.compile(r"([A-Za-z_][\w.]*):[\w./-]+")
 
 
 def named(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Key and `module:name` of the code in the nested tables of a scenario.
-
-    The `package:file` of a path counts too, as its package is imported.
-    """
+    """Key and `module:name` of the code in the nested tables of a scenario."""
     if isinstance(data, Mapping):
         for name, value in data.items():
             yield from named(value, f"{key}.{name}".lstrip("."))
     elif isinstance(data, list):
         for i, value in enumerate(data):
             yield from named(value, f"{key}.{i}")
-    elif isinstance(data, str) and key.rpartition(".")[2] in _KEYS and _is_code(key, data):
+    elif isinstance(data, str) and key.rpartition(".")[2] in _KEYS and _is_code(data):
         yield key, data
 
 
-def _is_code(key: str, text: str) -> bool:
-    drive = key.endswith("path") and len(module_of(text)) == 1  # of Windows
-    return bool(_TARGET.fullmatch(text)) and module_of(text) != "estbench" and not drive
+def _is_code(text: str) -> bool:
+    return bool(_TARGET.fullmatch(text)) and module_of(text) != "estbench"
 
 
 def module_of(target: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from estbench.errors import EstimatorError, ScenarioError, did_you_mean
+from estbench.errors import EstimatorError, ScenarioError, did_you_mean, given_path, shown
 from estbench.estimators import registry
 from estbench.scenario import code, reference
 from estbench.scenario.mistakes import explain
@@ -41,6 +41,7 @@ def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         ScenarioError: there is no such scenario, or it does not validate, of which all mistakes
             are listed; or it is of somebody else and names code (see `scenario.code`).
     """
+    _check_overrides(overrides)
     path = _find(source)
     if path.suffix.lower() == ".xml":
         data: dict[str, Any] = {"name": path.stem, "model": {"path": path.name}}
@@ -98,8 +99,7 @@ def resolve(
             estimator that is not run.
         EstimatorError: an estimator is unknown or named twice, or its label is taken.
     """
-    if not (isinstance(overrides, Sequence) and all(isinstance(text, str) for text in overrides)):
-        raise ScenarioError(f"overrides is {overrides!r}; use a list of 'section.key=value'")
+    _check_overrides(overrides)
     if not isinstance(scenario, str | Path | Scenario):
         raise ScenarioError(f"scenario is {scenario!r}; use a name, a path or a Scenario")
     simulation = {"runs": runs, "seed": seed, "duration": duration}
@@ -218,13 +218,22 @@ def _validate(data: dict[str, Any], overrides: Sequence[str], source: str) -> Sc
     return reference.settled(scenario, {**before, **scenario.estimators, **before})
 
 
+def _check_overrides(overrides: object) -> None:
+    if (
+        isinstance(overrides, str)
+        or not isinstance(overrides, Sequence)
+        or not all(isinstance(text, str) for text in overrides)
+    ):
+        raise ScenarioError(f"overrides is {shown(overrides)}; use a list of 'section.key=value'")
+
+
 def _find(source: str | Path) -> Path:
     """The TOML or MJCF file of a scenario.
 
     Raises:
         ScenarioError: there is none.
     """
-    path = Path(source)
+    path = given_path("scenario", source, ScenarioError)
     if path.is_dir() and (path / "scenario.toml").is_file():
         return path / "scenario.toml"
     if path.is_file() and path.suffix.lower() in (".toml", ".xml"):

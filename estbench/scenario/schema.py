@@ -31,7 +31,14 @@ def _within(largest: float) -> AfterValidator:
 
 
 def _covariance(value: list[list[float]]) -> list[list[float]]:
-    """Refuse entries beyond the squares of quantities; those off the diagonal may be tiny."""
+    """Refuse rows of unequal length, and entries beyond the squares of quantities.
+
+    Those off the diagonal may be tiny.
+    """
+    if len({len(row) for row in value}) > 1:
+        raise ValueError(
+            f"rows of {', '.join(str(len(row)) for row in value)} entries; use a square matrix"
+        )
     for i, row in enumerate(value):
         for j, x in enumerate(row):
             if abs(x) > LARGEST**2 or (i == j and 0 < abs(x) < LARGEST**-2):

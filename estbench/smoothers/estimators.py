@@ -14,7 +14,7 @@ from estbench.estimators.factors import FactorBelief
 from estbench.estimators.iplf import IPLF
 from estbench.estimators.over import OverFilter
 from estbench.estimators.protocol import Estimator, FilterHistory
-from estbench.estimators.settings import base, in_range, one_of, table, whole
+from estbench.estimators.settings import base, has_model, in_range, one_of, table, whole
 from estbench.estimators.ukf import PREDICTION, SigmaPointFilter
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float
@@ -45,6 +45,7 @@ class FilterThenSmooth(OverFilter):
     _filter: Estimator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        has_model(self)
         table(self, "settings")
         base(self, self.bases)
         object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))

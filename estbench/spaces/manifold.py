@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.errors import DimensionError
+from estbench.errors import DimensionError, shown
 from estbench.shapes import Array, Bool, Float, Int, Mask
 from estbench.spaces import rotation
 from estbench.spaces.linalg import weighted
@@ -89,7 +89,21 @@ class Manifold:
         units: Sequence[str] | None = None,
         angles: Sequence[int] = (),
     ) -> "Manifold":
-        """R^n, with circles at `angles`; default names are x0, x1, ..., the default unit is 1."""
+        """R^n, with circles at `angles`; default names are x0, x1, ..., the default unit is 1.
+
+        Raises:
+            DimensionError: names or units are no n texts, or angles no different indices.
+        """
+        for what, given in (("names", names), ("units", units)):
+            if given is not None and (
+                isinstance(given, str)
+                or not isinstance(given, Sequence)
+                or not all(isinstance(text, str) for text in given)
+            ):
+                raise DimensionError(f"{what} is {shown(given)}; use {n} texts")
+        listed = isinstance(angles, Sequence | np.ndarray)
+        if not listed or not all(isinstance(i, int | np.integer) for i in angles):
+            raise DimensionError(f"angles is {shown(angles)}; use a list of some of 0 to {n - 1}")
         return cls(
             tuple(names) if names is not None else tuple(f"x{i}" for i in range(n)),
             tuple(units) if units is not None else ("1",) * n,

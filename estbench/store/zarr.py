@@ -27,7 +27,7 @@ import zarr
 
 from estbench.consistency.fields import Field, Record
 from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
-from estbench.errors import StoreError
+from estbench.errors import StoreError, given_path
 from estbench.experiment.prepared import Setup
 from estbench.scenario.load import changes
 from estbench.store import checksums, locks, metadata, versions
@@ -344,7 +344,7 @@ def open_results(folder: str | Path) -> xr.DataTree:
     Raises:
         StoreError: there is no such store, or its metadata or a label is damaged.
     """
-    path = Path(folder) / STORE
+    path = given_path("folder", folder, StoreError) / STORE
     if not path.is_dir():
         raise StoreError(f"{folder} holds no {STORE}; name a folder that `estbench run` wrote")
     metadata.check(Path(folder))

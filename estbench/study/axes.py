@@ -1,5 +1,6 @@
 """The varied keys of a study with their values: lists, ranges, and designs of points."""
 
+import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from estbench.errors import StudyError
 from estbench.study import keys
 
 Sample = Literal["sobol", "latin"]
+MOST = 100_000
+"""Variants of a study; each is a scenario with results of its own."""
 FORMS = "a list 0.1,1,10, lin:LOW:HIGH:COUNT or log:LOW:HIGH:COUNT"
 
 
@@ -82,6 +85,8 @@ def grid(specs: Sequence[tuple[keys.Names, Range | Sequence[Any]]]) -> tuple[Axi
     """
     _check_once(specs)
     out = []
+    sizes = [spec.count or 1 if isinstance(spec, Range) else len(spec) for _, spec in specs]
+    _check_size(math.prod(sizes))
     for names, spec in specs:
         if isinstance(spec, Range):
             if spec.count is None:
@@ -114,8 +119,9 @@ def points(
     _check_once(specs)
     if sample not in ("sobol", "latin"):
         raise StudyError(f"sample is {sample!r}; use sobol or latin")
-    if count < 1:
-        raise StudyError(f"points is {count}; use a whole number of at least 1")
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise StudyError(f"points is {count!r}; use a whole number of at least 1")
+    _check_size(count)
     rng = np.random.default_rng(seed)
     if sample == "sobol":
         most = int(np.ceil(np.log2(count)))
@@ -172,6 +178,11 @@ def _check_values(key: str, values: tuple[Any, ...]) -> None:
     for i, value in enumerate(values):
         if value in values[:i]:
             raise StudyError(f"'{key}': the value {value!r} is given twice; give each once")
+
+
+def _check_size(count: int) -> None:
+    if count > MOST:
+        raise StudyError(f"the study has {count:,} variants; use at most {MOST:,}")
 
 
 def _check_once(specs: Sequence[tuple[keys.Names, Any]]) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec
 
 from estbench.consistency.fields import Record
-from estbench.errors import StoreError
+from estbench.errors import StoreError, given_path
 from estbench.store import checksums, locks, metadata
 from estbench.store.metadata import STORE
 from estbench.store.template import provenance
@@ -245,7 +245,7 @@ def open_study(folder: str | os.PathLike[str]) -> xr.Dataset:
     Raises:
         StoreError: there is no such store, or its metadata or a label is damaged.
     """
-    path = Path(folder)
+    path = given_path("folder", folder, StoreError)
     metadata.check(path)
     read_about(path)
     with warnings.catch_warnings():  # a store that was never closed opens, only slowly

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from estbench.errors import Interrupted, StoreError, StudyError
+from estbench.errors import Interrupted, StoreError, StudyError, shown
 from estbench.experiment.setup import build
 from estbench.scenario.load import resolve
 from estbench.scenario.schema import Scenario
@@ -90,6 +90,7 @@ def tune(
         Interrupted: Ctrl-C came before the first candidate was computed.
     """
     resolved = resolve(scenario, [estimator], runs, seed, duration, overrides)
+    _check(free, coordinates, priors, iterations, held_out)
     (label,) = resolved.estimators
     prepared = build(resolved)
     parameters = with_priors(
@@ -238,6 +239,25 @@ def _asked(call: Callable[[], Evaluation]) -> Evaluation:
         return call()
     except KeyboardInterrupt:
         raise Interrupted("interrupted before the first candidate: there is no result") from None
+
+
+def _check(
+    free: object, coordinates: object, priors: object, iterations: Any, held_out: Any
+) -> None:
+    """Refuse settings of another type.
+
+    Raises:
+        StudyError: a setting has another type, or a count is too small.
+    """
+    if isinstance(free, str) or not isinstance(free, Sequence):
+        raise StudyError(f"free is {shown(free)}; use a list of keys")
+    for name, table in (("coordinates", coordinates), ("priors", priors)):
+        if table is not None and not isinstance(table, Mapping):
+            raise StudyError(f"{name} is {shown(table)}; use a table with the name as its key")
+    for name, value, least in (("iterations", iterations, 1), ("held_out", held_out, 0)):
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if value is not None and not (whole and value >= least):
+            raise StudyError(f"{name} is {shown(value)}; use a whole number of at least {least}")
 
 
 def _folder(

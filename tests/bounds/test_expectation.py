@@ -330,3 +330,14 @@ def test_a_quaternion_has_the_bound_of_a_rotation_vector():
         P = P - P[:, :, :3] @ np.linalg.solve(P[:, :3, :3] + 0.01 * np.eye(3), H @ P)
         linear = P.mean(axis=0).diagonal()
         np.testing.assert_allclose(found[k + 1].diagonal(), linear, rtol=0.02)
+
+
+@pytest.mark.parametrize("scale", [1e9, 1e200])
+def test_a_weight_without_a_factor_is_no_bound(scale):
+    """A sum is known so well that rounding leaves its weight no factor; then beyond float64."""
+    model = LinearModel(0.9 * np.eye(2), np.full((1, 2), scale), np.eye(2), np.eye(1))
+    x = np.zeros((3, 3, 2))
+    found = posterior_bound(model, np.zeros(2), np.eye(2), np.arange(3.0), x)
+    assert np.isfinite(found.cov[0]).all()
+    assert np.isnan(found.cov[1:]).all()
+    assert np.isnan(found.values[1:]).all()

@@ -88,6 +88,12 @@ def test_a_matrix_of_another_shape_is_named(name, shape, expected):
     assert str(error.value) == f"{name} has shape {shape}; expected {expected}"
 
 
+@pytest.mark.parametrize("name", ["A", "C", "Q", "R"])
+def test_a_matrix_that_is_needed_may_not_be_none(name):
+    with pytest.raises(DimensionError, match=f"{name} is NoneType of object; expected float64"):
+        LinearModel(**(GOOD | {name: None}))
+
+
 @pytest.mark.parametrize(
     "R",
     [np.diag([1.0, 0.0]), np.diag([1.0, -1.0]), np.array([[1, 0.5], [0, 1]]), [[np.nan] * 2] * 2],

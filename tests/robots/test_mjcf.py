@@ -35,6 +35,10 @@ def test_locate(tmp_path):
     ("path", "message"),
     [
         ("nopackage:a/b.xml", "package 'nopackage' is not installed"),
+        ("json.tool:a.xml", "no file .*json/tool/a.xml"),
+        ("argparse:a.xml", "'argparse' is a module; use package:path"),
+        (".x:a.xml", "package '.x' is not installed"),
+        ("a b:a.xml", "package 'a b' is not installed"),
         ("gymnasium:nothing.xml", "model.path 'gymnasium:nothing.xml': no file"),
         ("nothing.xml", "model.path 'nothing.xml': no file"),
         ("estbench:assets", "no file"),
@@ -43,6 +47,16 @@ def test_locate(tmp_path):
 def test_locate_nothing(path, message):
     with pytest.raises(ScenarioError, match=message):
         mjcf.locate(path)
+
+
+def test_the_package_of_a_path_is_not_imported(tmp_path, monkeypatch):
+    inner = tmp_path / "their_robots" / "models"
+    inner.mkdir(parents=True)
+    (inner.parent / "__init__.py").write_text("raise SystemExit")
+    (inner / "robot.xml").touch()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for path in ("their_robots:models/robot.xml", "their_robots.models:robot.xml"):
+        assert mjcf.locate(path) == inner / "robot.xml"
 
 
 @pytest.mark.parametrize("name", sorted(bundled()))

@@ -72,8 +72,8 @@ def test_all_that_names_code_is_listed():
         "filter": {"path": "estbench:assets/x.xml", "channels": {"x": {"schedule": [[1, 2]]}}},
     }
     assert dict(code.named(data)) == {
-        "model.path": "their_package:robot.xml", "control.function": "a:u",
-        "control.estimator.type": "b:Filter", "process_noise.schedule": "c:q",
+        "control.function": "a:u", "control.estimator.type": "b:Filter",
+        "process_noise.schedule": "c:q",
         "channels.x.function": "d:h", "estimators.imm.models.0.type": "e.f:Filter",
     }  # fmt: skip
     (line,) = code.listed({"control": {"function": "json:dumps"}})

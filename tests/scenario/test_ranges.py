@@ -26,6 +26,7 @@ from estbench.scenario.load import load
         ("filter.process_noise_scale=1e300", r"filter\.process_noise_scale: use 0 or a magnitude"),
         ("process_noise.density={'*'=1e-90}", r"process_noise\.density\.\*: use 0 or a magnitude"),
         ("initial.cov=[[1.0, 0.0], [0.0, 1e-90]]", r"initial\.cov: entry \(1, 1\) is 1e-90; use 0"),
+        ("process_noise.matrix=[[1, 2], [3]]", r"process_noise\.matrix: rows of 2, 1 entries"),
         ('filter.set."body_mass.pole"=1e99', r"filter\.set\.body_mass\.pole: use 0 or a magnitude"),
         ("channels.encoder.latency=1e12", r"channels\.encoder\.latency: .*1000000000"),
         ("simulation.runs=1\nfoo=2", r"has a line break; use one --set for each key"),
