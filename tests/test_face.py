@@ -79,3 +79,12 @@ def test_a_users_script_passes_mypy(tmp_path):
     assert "good.py" not in done.stdout, done.stdout
     for line in (4, 5, 6):
         assert f"bad.py:{line}: error" in done.stdout, done.stdout
+
+
+@pytest.mark.parametrize("arguments", [["list"], ["run", "cartpol"], ["check", "pendulm.toml"]])
+def test_what_a_command_does_not_need_is_not_imported(arguments):
+    code = f"import sys; from estbench.commands.cli import main; sys.argv[1:] = {arguments}\n"
+    code += "try: main()\nexcept SystemExit: pass\nprint('modules:', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    modules = done.stdout.rpartition("modules:")[2].split()
+    assert not {"xarray", "zarr", "scipy", "gymnasium", "matplotlib"} & set(modules)

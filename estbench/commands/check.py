@@ -25,7 +25,9 @@ def list_(as_json: Json = False) -> None:
 
 def check(scenario: Scenario, overrides: Overrides = None) -> None:
     """Load a scenario or MJCF and show its states, sensors, rates, noise and what looks wrong."""
-    from estbench.commands import inspection
-    from estbench.montecarlo import run as experiment
+    from estbench.scenario.load import resolve
 
-    console().print(inspection.render(experiment.resolve(scenario, overrides=overrides or ())))
+    resolved = resolve(scenario, overrides=overrides or ())  # a typo is named before the rest loads
+    from estbench.commands import inspection
+
+    console().print(inspection.render(resolved))

@@ -72,11 +72,13 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
-    from estbench.montecarlo import run as experiment
-    from estbench.store import zarr as store
+    from estbench.scenario.load import resolve
 
     changes = [*(overrides or ()), *(() if bound else ("bound=false",))]
-    resolved = experiment.resolve(scenario, estimator, runs, seed, duration, changes)
+    resolved = resolve(scenario, estimator, runs, seed, duration, changes)
+    from estbench.montecarlo import run as experiment  # two seconds: a typo is named before
+    from estbench.store import zarr as store
+
     continued = resume or shard is not None  # the folder exists: only the user can name it
     folder = out if out is not None or continued else store.default_folder(resolved.name)
     with progress(resolved.simulation.runs) as bar:

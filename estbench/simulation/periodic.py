@@ -3,14 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from estbench.errors import ControllerError, did_you_mean
 from estbench.scenario.schema import ControlSection
 from estbench.shapes import Array, Float
 from estbench.spaces.patterns import expand
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 TIMES = 840
 """In one period, at which the bounds are found: a multiple of most counts of knots."""
@@ -35,7 +38,7 @@ class Periodic:
 
     rest: Float[Array, " nu"]
     driven: Sequence[int]
-    splines: Sequence[CubicSpline]
+    splines: Sequence["CubicSpline"]
     phase: Float[Array, " k"]
     period: float
     begin: float
@@ -55,6 +58,8 @@ class Periodic:
         Raises:
             ControllerError: `period` or `knots` is missing, or a pattern matches no control.
         """
+        from scipy.interpolate import CubicSpline  # a third of the start of `estbench list`
+
         if section.period is None or not section.knots:
             missing = "knots" if section.period is not None else "period"
             raise ControllerError(
