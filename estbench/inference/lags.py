@@ -138,17 +138,16 @@ class Lags:
         """Those of a channel."""
         if name in self._found:
             return self._found[name]
-        shape = self._runs, self._widths[name]
-        instants: list[int] = []
-        whites, masks = [np.empty((0, *shape))], [np.empty((0, *shape), bool)]
-        for key in sorted(self._noted):
-            channels, white, mask = self._noted[key]
-            if name in channels:
-                part = np.s_[:, self._columns(channels, name)]
-                instants.append(key[0])
-                whites.append(white[part][None])
-                masks.append(np.ones((1, *shape), bool) if mask is None else mask[part][None])
-        found = np.array(instants, np.int64), np.concatenate(whites), np.concatenate(masks)
+        keys = [key for key in sorted(self._noted) if name in self._noted[key][0]]
+        white = np.empty((len(keys), self._runs, self._widths[name]))
+        came = np.ones(white.shape, bool)
+        for i, key in enumerate(keys):
+            channels, values, mask = self._noted[key]
+            columns = self._columns(channels, name)
+            white[i] = values[:, columns]
+            if mask is not None:
+                came[i] = mask[:, columns]
+        found = np.array([instant for instant, _ in keys], np.int64), white, came
         self._found[name] = found
         return found
 
