@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from estbench.bounds.expectation import Bound, Reading, posterior_bound
+    from estbench.budgets.budget import budget
     from estbench.errors import (
         ControllerError,
         CovarianceError,
@@ -89,6 +90,7 @@ __all__ = [
     "Smoother",
     "StoreError",
     "StudyError",
+    "budget",
     "follow",
     "load",
     "open_results",
@@ -100,6 +102,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "budgets.budget": ("budget",),
     "bounds.expectation": ("Bound", "Reading", "posterior_bound"),
     "errors": (
         "ControllerError", "CovarianceError", "DimensionError", "EstbenchError", "EstimatorError",

@@ -120,9 +120,9 @@ def _system(setup: Setup, runs: Sequence[int]) -> tuple[Linearized, Float[Array,
     normals = {key: parameters.normals(key, seed, runs) for key in draws}
     varied = []
     for key in () if known else draws:
-        varied.append(_model(setup, {**normals, key: normals[key] + CHANGE}))
+        varied.append(true_model(setup, {**normals, key: normals[key] + CHANGE}))
         blocks.append(np.eye(1))
-    system: Linearized = Linearization(_model(setup, normals), varied, CHANGE)
+    system: Linearized = Linearization(true_model(setup, normals), varied, CHANGE)
     if any(c.imperfections is not None for c in setup.channels):
         system = WithSensorErrors(
             system, setup.channels, [e for c in setup.channels for e in errors(c)]
@@ -131,7 +131,7 @@ def _system(setup: Setup, runs: Sequence[int]) -> tuple[Linearized, Float[Array,
     return system, np.asarray(block_diag(*blocks), np.float64)
 
 
-def _model(setup: Setup, normals: dict[str, Float[Array, "run 1"]]) -> MujocoModel:
+def true_model(setup: Setup, normals: dict[str, Float[Array, "run 1"]]) -> MujocoModel:
     """The true robots as a model, with the parameters that these standard normals give."""
     plant, section = setup.plant, setup.scenario.filter
     channels = [

@@ -12,7 +12,18 @@ from typing import Annotated, Any, cast
 import typer
 
 from estbench import __version__
-from estbench.commands import check, compare, control, explain, report, run, sensors, sweep, tune
+from estbench.commands import (
+    budget,
+    check,
+    compare,
+    control,
+    explain,
+    report,
+    run,
+    sensors,
+    sweep,
+    tune,
+)
 from estbench.commands.shared import say
 from estbench.errors import TRUST, EstbenchError, Interrupted
 
@@ -46,7 +57,7 @@ def root(
 
 
 # In the order of `--help`.
-for command in (run, check, sensors, control, report, compare, sweep, tune, explain):
+for command in (run, check, sensors, control, report, compare, sweep, tune, explain, budget):
     command.register(app)
 
 

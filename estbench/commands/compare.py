@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from estbench.commands.shared import console, say
+from estbench.commands.shared import Format, console, say
 
 
 def register(app: typer.Typer) -> None:
@@ -19,9 +19,7 @@ def compare(
     folders: Annotated[
         list[Path], typer.Argument(help="results folders of one robot, or a folder of them")
     ],
-    format_: Annotated[
-        str, typer.Option("--format", help="text, markdown, csv, latex or json")
-    ] = "text",
+    format_: Format = "text",
     margin: Annotated[
         float, typer.Option(help="relative difference that is too small to matter")
     ] = 0.01,
@@ -30,12 +28,13 @@ def compare(
     ] = 0.02,
 ) -> None:
     """Compare estimators run by run: accuracy, ranking with ties, coverage, credibility."""
-    from estbench.analysis import formats
     from estbench.analysis.compare import compare_stores
+    from estbench.analysis.formats import render
+    from estbench.tables import formats
 
     formats.check(format_)
     compared = compare_stores(folders, margin, precision)
-    print(formats.render(compared, format_, console().width).rstrip("\n"))
+    print(render(compared, format_, console().width).rstrip("\n"))
 
 
 def reproduce(

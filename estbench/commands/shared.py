@@ -33,6 +33,11 @@ Shard = Annotated[
     str | None, typer.Option(metavar="I/N", help="compute the I-th of N shares into one --out")
 ]
 Address = Annotated[str | None, typer.Option(help="of the dask scheduler, tcp://...")]
+Format = Annotated[str, typer.Option("--format", help="text, markdown, csv, latex or json")]
+Coordinates = Annotated[
+    list[str] | None,
+    typer.Option("--coordinate", metavar="PATTERN", help="those shown; repeatable; default all"),
+]
 Json = Annotated[bool, typer.Option("--json", help="print JSON in place of tables")]
 
 
@@ -93,3 +98,17 @@ def progress(total: int) -> Iterator[Callable[[int, int], None]]:
             say(f"{done}/{total} runs, {now - began:.0f} s{left}")
 
     yield line
+
+
+def chosen(patterns: list[str] | None, names: tuple[str, ...]) -> list[int]:
+    """The places of the names that match any of the patterns; all without patterns.
+
+    Raises:
+        ScenarioError: a pattern matches no name.
+    """
+    from estbench.spaces.patterns import expand
+
+    if not patterns:
+        return list(range(len(names)))
+    hit = expand(dict.fromkeys(patterns, 1.0), names, "--coordinate")
+    return [i for i, on in enumerate(hit) if on]

@@ -1,7 +1,7 @@
 """Range and bearing converted to unbiased Cartesian measurements (source 002)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -196,4 +196,5 @@ class ConvertedEKF(EKF):
             both = mask[:, rows[:1]] & mask[:, rows[1:]]
         residual = np.where(both, linear, residual)
         H, R = (np.where(both[..., None], a, b) for a, b in ((exact, H), (mixed, R)))
-        return linear_update(space, belief, residual, H, R, mask)
+        posterior, innovation = linear_update(space, belief, residual, H, R, mask)
+        return posterior, replace(innovation, gain=None)  # that of the converted measurement

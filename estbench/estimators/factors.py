@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian, check_prior
-from estbench.estimators.protocol import Innovation
+from estbench.estimators.protocol import Gain, Innovation
 from estbench.estimators.update import mark_failed
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, pad_absent, solve_lower, surely_finite
@@ -131,9 +131,10 @@ def noise_root(
 def factor_innovation(
     residual: Float[Array, "run m"],
     root: Float[Array, "run m m"],
+    scaled: Float[Array, "run n m"],
     mask: Bool[Mask, "run m"] | None = None,
 ) -> Innovation:
-    """The innovation from ν and a factor of S; ν is zero where a component did not arrive."""
+    """The innovation from ν, a factor of S and K S^½; ν is zero where nothing arrived."""
     white = solve_lower(root, residual[..., None])[..., 0]
     S = root @ root.mT
     dof = np.full(len(root), root.shape[-1])
@@ -142,7 +143,8 @@ def factor_innovation(
         white = np.where(mask, white, 0.0)
         S, root = pad_absent(S, mask), pad_absent(root, mask)
         dof = mask.sum(axis=-1)
-    return Innovation(residual, S, white, np.einsum("ij,ij->i", white, white), dof, root)
+    nis = np.einsum("ij,ij->i", white, white)
+    return Innovation(residual, S, white, nis, dof, root, gain=Gain(scaled, root))
 
 
 def cholesky_update(

@@ -115,7 +115,7 @@ class FootReadings:
         S, factor = (identity(m)[None].repeat(runs, axis=0) for _ in range(2))
         S[:, columns[:, None], columns] = feet.cov
         factor[:, columns[:, None], columns] = feet.factor
-        return replace(feet, residual=residual, cov=S, white=white, factor=factor)
+        return replace(feet, residual=residual, cov=S, white=white, factor=factor, gain=None)
 
     def _taken(
         self,

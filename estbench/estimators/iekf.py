@@ -1,6 +1,6 @@
 """Iterated extended Kalman filter (Bell & Cathey, IEEE Trans. Automatic Control 38(2), 1993)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class IEKF(EKF):
         scale = self.tolerance * np.sqrt(np.maximum(np.diagonal(P, axis1=-2, axis2=-1), 0.0))
         delta, cov = np.zeros(P.shape[:-1]), P
         fault, active = np.zeros(len(P), np.uint8), np.ones(len(P), bool)
-        innovation = None
+        innovation, gain = None, None
         for _ in range(self.iterations):
             point = space.plus(belief.mean, delta)
             predicted, H = self.model.measurement_jacobian(point, u, t, channels)
@@ -69,7 +69,7 @@ class IEKF(EKF):
             residual = output.minus(y, predicted) + (H @ delta[..., None])[..., 0]
             PHt = P @ H.mT
             c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
-            innovation = innovation or c.innovation
+            innovation, gain = innovation or c.innovation, c.innovation.gain
             moved = np.abs(c.delta - delta)
             rows = active[:, None]
             delta = np.where(rows, c.delta, delta)
@@ -79,4 +79,5 @@ class IEKF(EKF):
             if not active.any():
                 break
         assert innovation is not None
-        return apply_correction(space, belief, delta, symmetrize(cov), fault), innovation
+        posterior = apply_correction(space, belief, delta, symmetrize(cov), fault)
+        return posterior, replace(innovation, gain=gain)

@@ -118,7 +118,7 @@ class ParticleFilter:
         weighted = _settled(replace(belief, log_weights=logs))
         logs = np.where(arrived, weighted.log_weights, belief.log_weights)
         weighted = replace(weighted, log_weights=logs)
-        innovation = replace(c.innovation, log_likelihood=likelihood)
+        innovation = replace(c.innovation, log_likelihood=likelihood, gain=None)
         return replace(self._resampled(weighted, arrived[:, 0]), counter=counter), innovation
 
     def mean(self, belief: Particles) -> Float[Array, "run nx"]:

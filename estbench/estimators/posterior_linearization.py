@@ -4,7 +4,7 @@ All is written in whitened coordinates of the prior, x = x̂⁻ ⊞ L η with P�
 that no inverse of P⁻ is needed and P⁻ may be singular.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def condition(
     R = model.measurement_noise(t, channels)
     eta, factor = np.zeros(root.shape[:-1]), np.broadcast_to(identity(space.n), root.shape)
     cov, fault, active = factor, np.zeros(len(y), np.uint8), np.ones(len(y), bool)
-    innovation = None
+    innovation, gain = None, None
     for iteration in range(measured.iterations):
         points = eta[:, None] + rule.points @ factor.mT
         states = space.plus(mean[:, None], points @ root.mT)
@@ -96,7 +96,7 @@ def condition(
         H = solve_lower_transposed(factor, slope.mT).mT if iteration else slope
         residual = output.minus(y, predicted) + (H @ eta[..., None])[..., 0]
         c = correct(residual, symmetrize(H @ H.mT + noise), H.mT, mask)
-        innovation = innovation or c.innovation
+        innovation, gain = innovation or c.innovation, c.gain
         moved = np.abs(c.delta - eta).max(axis=-1, initial=0.0)
         new = symmetrize(joseph(np.broadcast_to(identity(space.n), root.shape), c.gain, H, noise))
         eta = np.where(active[:, None], c.delta, eta)
@@ -107,4 +107,6 @@ def condition(
             break
         factor = cholesky(cov)
     assert innovation is not None
+    assert gain is not None
+    innovation = replace(innovation, gain=root @ gain)  # of the state, in the last linearization
     return Whitened(eta, cov, innovation, fault)

@@ -6,6 +6,25 @@ from typing import Any, Protocol, runtime_checkable
 
 from estbench.models.protocol import Channels
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
+from estbench.spaces.linalg import solve_lower_transposed
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """The gain K of an update, x̂⁺ = x̂⁻ ⊞ K ν, as the update has it: it costs nothing to keep.
+
+    Attributes:
+        scaled: K L.
+        factor: L, lower triangular, with S = L Lᵀ.
+    """
+
+    scaled: Float[Array, "run n m"]
+    factor: Float[Array, "run m m"]
+
+    @property
+    def matrix(self) -> Float[Array, "run n m"]:
+        """K, with a zero column where a component did not arrive."""
+        return solve_lower_transposed(self.factor, self.scaled.mT).mT
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +41,8 @@ class Innovation:
             estimator does not show it.
         log_likelihood: log p(y | earlier readings) where that is not log N(ν; 0, S); else None.
         gated: number of components that arrived and that the estimator did not use; else None.
+        gain: the gain K, or the factors of it; None if the update is not linear in ν, or the
+            estimator does not show it. `estbench budget` needs it.
     """
 
     residual: Float[Array, "run m"]
@@ -32,6 +53,7 @@ class Innovation:
     factor: Float[Array, "run m m"] | None = None
     log_likelihood: Float[Array, " run"] | None = None
     gated: Int[Ints, " run"] | None = None
+    gain: Gain | Float[Array, "run n m"] | None = None
 
 
 @runtime_checkable

@@ -85,7 +85,8 @@ class RobustEKF(EKF):
             mask = passed if mask is None else mask & passed
         else:
             R = self._enlarged(R, residual, spread, raw.dof)
-        return linear_update(space, belief, residual, H, R, mask)[0], raw
+        posterior, used = linear_update(space, belief, residual, H, R, mask)
+        return posterior, replace(raw, gain=used.gain)
 
     def _passed(self, innovation: Innovation) -> NDArray[np.bool_]:
         """Mask of the components within the gate; those of a failed run are in the mask."""

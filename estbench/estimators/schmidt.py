@@ -1,12 +1,13 @@
 """Schmidt-Kalman (consider) filter on an extended model (Jazwinski 1970, ch. 8)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import cast
 
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
 from estbench.estimators.linear import joseph
-from estbench.estimators.protocol import Innovation
+from estbench.estimators.protocol import Gain, Innovation
 from estbench.estimators.settings import names, one_of
 from estbench.estimators.update import apply_correction, correct
 from estbench.models.protocol import Channels
@@ -66,6 +67,6 @@ class SchmidtEKF(EKF):
         K = c.gain * self._estimated[:, None]
         cov = joseph(belief.cov, K, H, R)
         delta = c.delta * self._estimated
-        return apply_correction(
-            self.model.space, belief, delta, symmetrize(cov), c.fault
-        ), c.innovation
+        gain = Gain(c.white.mT * self._estimated[:, None], cast(Array, c.innovation.factor))
+        posterior = apply_correction(self.model.space, belief, delta, symmetrize(cov), c.fault)
+        return posterior, replace(c.innovation, gain=gain)

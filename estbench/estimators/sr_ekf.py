@@ -72,7 +72,7 @@ class SquareRootEKF(FactorEstimator):
         array = np.zeros((runs, m + n, m + n))
         array[:, :m, :m], array[:, :m, m:], array[:, m:, m:] = noise, seen, belief.factor
         array = triangular(array)
-        innovation = factor_innovation(residual, array[:, :m, :m], mask)
+        innovation = factor_innovation(residual, array[:, :m, :m], array[:, m:, :m], mask)
         delta = (array[:, m:, :m] @ innovation.white[..., None])[..., 0]
         fault = lost(noise, np.broadcast_to(R, noise.shape), Fault.INNOVATION)
         posterior = factor_settle(self.model.space, belief, delta, array[:, m:, m:], fault)

@@ -93,7 +93,7 @@ class SquareRootUKF(FactorEstimator):
         noise[:, :m] = noise_root(self.model.measurement_noise(t, channels), mask, runs)
         both = np.concatenate([residuals, spread], axis=-1)
         joint = weighted_factor(self.rule.cov_weights, both, noise)
-        innovation = factor_innovation(residual, joint[:, :m, :m], mask)
+        innovation = factor_innovation(residual, joint[:, :m, :m], joint[:, m:, :m], mask)
         delta = (joint[:, m:, :m] @ innovation.white[..., None])[..., 0]
         factor = joint[:, m:, m:]
         unseen = lost(joint[:, :m, :m], residuals, Fault.INNOVATION)

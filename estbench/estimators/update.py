@@ -7,7 +7,7 @@ import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.no_return import returned
-from estbench.estimators.protocol import Innovation
+from estbench.estimators.protocol import Gain, Innovation
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
 from estbench.spaces.manifold import Manifold
@@ -21,7 +21,7 @@ class Correction:
 
     Attributes:
         delta: K ν.
-        innovation: ν, S and NIS.
+        innovation: ν, S, NIS and K.
         fault: `Fault.INNOVATION` where S has no Cholesky factor.
         white: W = L⁻¹ Pxyᵀ, with S = L Lᵀ.
         whitening: L⁻¹.
@@ -85,7 +85,7 @@ def correct(
             return correct(residual, S, cross, present)
         factored = np.isfinite(lower[:, 0, 0])
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
-    innovation = Innovation(residual, S, white, nis, dof, lower)
+    innovation = Innovation(residual, S, white, nis, dof, lower, gain=Gain(W.mT, lower))
     return Correction(delta, innovation, fault, W, joint[..., n + 1 :])
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from estbench.budgets.accounting import gain
 from estbench.estimators import beliefs
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.ckf import CKF
@@ -291,3 +292,27 @@ def test_cubature_is_the_unscented_rule_without_its_centre_on_a_curved_state():
         results.append((belief.mean, belief.cov, innovation.nis))
     for ours, theirs in zip(*results, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@family
+def test_the_gain_that_it_shows(name):
+    """K = P⁻ Hᵀ S⁻¹ on a linear model, with a zero column where a component did not arrive."""
+    model, runs = linear_model(7), 4
+    rng, mean, cov = start(7, model, runs)
+    y, u = rng.standard_normal((runs, 2)), rng.standard_normal((runs, 1))
+    mask = np.array([[True, True], [True, False], [False, True], [True, True]])
+    estimator = FAMILY[name](model)
+    prior = estimator.predict(beliefs.start(estimator, mean, cov), u, 0.0, 0.1)
+    x, P = estimator.mean(prior), estimator.cov(prior)
+    posterior, innovation = estimator.update(prior, y, u, 0.1, None, mask)
+    K, H = gain(innovation), model.C
+    assert K is not None
+    for run in range(runs):
+        here = H[mask[run]]
+        S = here @ P[run] @ here.T + model.R[np.ix_(mask[run], mask[run])]
+        expected = np.zeros((3, 2))
+        expected[:, mask[run]] = np.linalg.solve(S, here @ P[run]).T
+        np.testing.assert_allclose(K[run], expected, rtol=0, atol=1e-10)
+    change = estimator.mean(posterior) - x
+    v = np.where(mask, y - model.measurement(x, u), 0.0)
+    np.testing.assert_allclose(change, (K @ v[..., None])[..., 0], rtol=0, atol=1e-10)

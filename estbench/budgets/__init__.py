@@ -1,0 +1,1 @@
+"""Error budgets: how much of an estimator's error each source causes."""

@@ -1,0 +1,138 @@
+"""The error budget by Monte Carlo: one source at a time switched on, and one at a time off.
+
+Every variant has the same runs and random numbers, so that differences are paired. What the sources
+cause each by itself does not add up to the whole where the estimator is not linear: the rest.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estbench.budgets.sources import CONDITIONS, Source, grouped, sources
+from estbench.budgets.switches import without
+from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
+from estbench.errors import Interrupted, StudyError
+from estbench.experiment.prepared import Setup
+from estbench.montecarlo import batch, executors
+from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo.pool import work_off
+from estbench.shapes import Array, Float
+from estbench.study.evaluation import evaluate, simulated
+
+Key = tuple[str, str]
+"""`alone` or `without` and the name of a source; `all` and nothing."""
+ALL: Key = ("all", "")
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The budget of one estimator, by Monte Carlo; mean square errors, (unit)².
+
+    Attributes:
+        sources: those that add an error, then the conditions.
+        mse: of each variant, time averages `(run, n)`.
+        level: of the intervals.
+    """
+
+    sources: tuple[Source, ...]
+    mse: dict[Key, Float[Array, "run n"]]
+    level: float
+
+    @property
+    def runs(self) -> int:
+        """Of each variant."""
+        return len(self.mse[ALL])
+
+    def total(self) -> tuple[Interval, ...]:
+        """With all sources, each coordinate."""
+        return tuple(positive_mean_interval(v, self.level) for v in self.mse[ALL].T)
+
+    def alone(self, source: Source) -> tuple[Interval, ...]:
+        """With this source and no other."""
+        return tuple(
+            positive_mean_interval(v, self.level) for v in self.mse["alone", source.name].T
+        )
+
+    def removed(self, source: Source) -> tuple[Interval, ...]:
+        """By how much it is less without this source."""
+        change = self.mse[ALL] - self.mse["without", source.name]
+        return tuple(mean_interval(v, self.level) for v in change.T)
+
+    def rest(self) -> tuple[Interval, ...]:
+        """What is left: the whole, less what each source causes alone."""
+        parts = [v for (what, _), v in self.mse.items() if what == "alone"]
+        return tuple(mean_interval(v, self.level) for v in (self.mse[ALL] - sum(parts)).T)
+
+
+def sampled(
+    setup: Setup,
+    label: str,
+    *,
+    by_source: bool = False,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Sampled:
+    """The budget of an estimator over all runs of an experiment.
+
+    Args:
+        setup: the experiment.
+        label: of the estimator.
+        by_source: whether each coordinate of the initial error and each component of the process
+            noise is a source; else these are one source each.
+        workers: count of threads.
+        progress: called with the count of finished runs of variants, and of all.
+
+    Raises:
+        StudyError: the estimator fails in a variant.
+        Interrupted: Ctrl-C came.
+    """
+    every = sources(setup, label)
+    parts = every if by_source else grouped(every)
+    variants = {ALL: setup}
+    adding = [s for s in parts if s.kind not in CONDITIONS]
+    for source in parts:
+        variants["without", source.name] = without(setup, label, [source])
+    for source in adding:
+        others = [s for s in adding if s is not source]
+        variants["alone", source.name] = without(setup, label, others)
+    count = setup.scenario.simulation.runs
+    size = min(batch.default_batch_size(setup, "summary"), count)
+    tasks = [(key, at) for key in variants for at in range(0, count, size)]
+    found: dict[tuple[Key, int], Array] = {}
+    errors: list[Exception] = []
+
+    def finished(task: tuple[Key, int], mse: Array) -> None:
+        found[task] = mse
+        if progress is not None:
+            progress(sum(map(len, found.values())), count * len(variants))
+
+    def work(
+        task: tuple[Key, int], stop: Callable[[], bool], prepared: Sequence[int]
+    ) -> Array | None:
+        key, start = task
+        return _mse(variants[key], label, range(start, min(start + size, count)), stop)
+
+    using = executors.pool("threads", workers or executors.cpu_count())
+    stopped = work_off(work, tasks, using, (), finished, lambda _, error: errors.append(error))
+    if stopped:
+        raise Interrupted("interrupted before all variants were finished: there is no result")
+    if errors:
+        raise errors[0]
+    mse = {
+        key: np.concatenate([found[key, at] for at in range(0, count, size)]) for key in variants
+    }
+    return Sampled(parts, mse, setup.scenario.consistency.level)
+
+
+def _mse(
+    setup: Setup, label: str, runs: Sequence[int], stop: Callable[[], bool]
+) -> Float[Array, "run n"] | None:
+    """Time averages of the squared errors of one variant; NaN for runs that failed."""
+    found = evaluate([setup], runs, simulated(setup, runs), stop, bounded=False)
+    if found is None:
+        return None
+    outcome = found[0][label]
+    if isinstance(outcome, str):
+        raise StudyError(outcome)
+    return outcome["mse"]
