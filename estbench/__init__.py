@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from estbench.store.zarr import open_results
     from estbench.study.store import open_study
     from estbench.study.sweep import sweep
+    from estbench.suites.observability import observability
     from estbench.tuning.tune import tune
 
 __version__ = "0.1.0"
@@ -93,6 +94,7 @@ __all__ = [
     "budget",
     "follow",
     "load",
+    "observability",
     "open_results",
     "open_study",
     "posterior_bound",
@@ -133,6 +135,7 @@ _MODULES = {
     "store.zarr": ("open_results",),
     "study.store": ("open_study",),
     "study.sweep": ("sweep",),
+    "suites.observability": ("observability",),
     "tuning.tune": ("tune",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _MODULES.items() for name in names}

@@ -144,13 +144,13 @@ def follow(
             waiting |= {(k, channels): last for channels, last in taken[k].items()}
             waiting = {key: last for key, last in waiting.items() if last >= k}
             arrived = [((r.taken, r.channels), r.mask) for r in arriving[k]]
-            seen = _seen(system, k, list(taken[k]), x[k], u[k - 1], end)
+            seen = whitened(system, k, list(taken[k]), x[k], u[k - 1], end)
             later = {key for key, last in waiting.items() if last > k}
             now = recursion.step(now, Step(F, G, seen, arrived, later))
             yield now
 
 
-def _seen(
+def whitened(
     system: Linearized,
     k: int,
     groups: Sequence[tuple[str, ...] | None],

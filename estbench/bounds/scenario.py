@@ -89,7 +89,7 @@ def bound_of_runs(
     if not few:
         return out
     x, u = happened.x[:, few], happened.u[:, few]
-    system, factor = _system(setup, [runs[place] for place in few])
+    system, factor = true_system(setup, [runs[place] for place in few])
     jacobian = np.broadcast_to(np.eye(len(factor)), (len(few), *factor.shape)).copy()
     jacobian[:, :n, :n] = setup.space.reset_jacobian(setup.space.minus(x[0], setup.mean))
     read = readings(setup, happened.deliveries, few)
@@ -112,7 +112,7 @@ def readings(
     ]
 
 
-def _system(setup: Setup, runs: Sequence[int]) -> tuple[Linearized, Float[Array, "k k"]]:
+def true_system(setup: Setup, runs: Sequence[int]) -> tuple[Linearized, Float[Array, "k k"]]:
     """The true robots of some runs, and a square root of the covariance of what is unknown."""
     blocks = [psd_root(setup.cov)]
     draws, known = setup.scenario.truth.draw, setup.scenario.bound == "known"

@@ -37,7 +37,7 @@ def budget(
     >>> import estbench
     >>> found = estbench.budget("pendulum", "ekf", duration=0.5).dataset()
     >>> found.share.sel(coordinate="hinge.vel").idxmax().item()
-    'process'
+    'gyro.noise'
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

@@ -18,6 +18,7 @@ from estbench.commands import (
     compare,
     control,
     explain,
+    observability,
     report,
     run,
     sensors,
@@ -57,7 +58,19 @@ def root(
 
 
 # In the order of `--help`.
-for command in (run, check, sensors, control, report, compare, sweep, tune, explain, budget):
+for command in (
+    run,
+    check,
+    sensors,
+    control,
+    report,
+    compare,
+    sweep,
+    tune,
+    explain,
+    budget,
+    observability,
+):
     command.register(app)
 
 

@@ -15,6 +15,7 @@ from estbench.commands import cli
 from estbench.consistency import intervals
 from estbench.errors import AnalysisError, StoreError
 from estbench.inference.lags import LAGS
+from estbench.tables.formats import FORMATS
 
 
 @pytest.fixture(scope="module")
@@ -282,7 +283,7 @@ def test_a_mistake_is_one_line_and_code_2(call, stores, tmp_path):
 # Little to go by
 
 
-@pytest.mark.parametrize("format_", formats.FORMATS)
+@pytest.mark.parametrize("format_", FORMATS)
 def test_one_run_and_an_estimator_that_lost_every_run(tmp_path, format_):
     folder = tmp_path / "one"
     estbench.run(

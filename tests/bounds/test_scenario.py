@@ -79,7 +79,7 @@ def test_the_parameter_of_a_run_is_that_of_the_truth():
         )
     )  # fmt: skip
     happened, runs = simulated(prepared, 4), range(4)
-    system, factor = scenario._system(prepared, runs)
+    system, factor = scenario.true_system(prepared, runs)
     assert factor.shape == (3, 3)
     model = system.model  # type: ignore[attr-defined]
     for k, instant in enumerate(prepared.instants[:20]):
@@ -100,7 +100,7 @@ def test_the_imperfections_that_an_estimator_could_estimate_cost():
 def test_misalignment_is_an_unknown_of_three_axes():
     errors = ["channels.accel.misalignment=0.1", "channels.gyro.bias=0.1"]
     prepared = build(resolve("cartpole_imu", ["ekf"], overrides=errors))
-    assert scenario._system(prepared, range(2))[1].shape == (4 + 3 + 3, 4 + 3 + 3)
+    assert scenario.true_system(prepared, range(2))[1].shape == (4 + 3 + 3, 4 + 3 + 3)
 
 
 def test_an_estimator_that_knows_of_heavy_tails_can_do_better_than_r_says():

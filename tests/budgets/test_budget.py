@@ -71,11 +71,17 @@ def test_wrong_damping_bias_drift_and_offset():
     prepared = setup(
         "pendulum", "ekf", 'filter.set={"dof_damping.hinge"=0.2}', "channels.gyro.bias=0.02",
         "channels.gyro.drift=0.02", "channels.gyro.drift_time=0.2", "channels.gyro.bias_walk=0.05",
-        'start.offset={"hinge"=0.02}', 'truth.draw={"body_mass.arm"={relative_std=0.1}}', runs=40, duration=0.25,
+        'start.offset={"hinge"=0.02}', 'truth.draw={"body_mass.arm"={relative_std=0.1}}',
+        runs=40, duration=0.25,
     )  # fmt: skip
     analysed, runs = agree(prepared, "ekf")
     names = {source.name for source in runs.sources}
-    assert {"parameter.dof_damping.hinge", "draw.body_mass.arm", "gyro.walk", "start.offset"} < names
+    assert {
+        "parameter.dof_damping.hinge",
+        "draw.body_mass.arm",
+        "gyro.walk",
+        "start.offset",
+    } < names
     assert np.abs(analysed.together).max() > 0  # damping and offset are the same in every run
 
 

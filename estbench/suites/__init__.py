@@ -1,0 +1,1 @@
+"""What a suite of sensors shows: observability along a motion, and the design of a suite."""
