@@ -6,7 +6,7 @@ model; else what the linearization, saturation, deadband and stuck-at faults do 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -163,7 +163,7 @@ def _along(
 
 def _stamped(delivery: Delivery, index: dict[int, int]) -> Delivery:
     """A delivery whose readings are the index of the time at which they were taken."""
-    return replace(delivery, y=np.full_like(delivery.y, index[delivery.taken]))
+    return delivery._replace(y=np.full_like(delivery.y, index[delivery.taken]))
 
 
 class _Remembered:
