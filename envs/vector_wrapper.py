@@ -55,7 +55,7 @@ class VectorEstimatedObservation(VectorWrapper):
         sensors: str | Path | Sequence[str] | Mapping[str, Any] | None = None,
         process_noise: float | Mapping[str, Any] = 0.01,
         observe: str | None = None,
-        initial_std: float | Sequence[float] | dict[str, float] = 0.05,
+        initial_std: float | Sequence[float] | dict[str, float] | None = None,
         model_set: Mapping[str, float | Sequence[float]] | None = None,
         model: Given = "follow",
         data: Given = None,

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from estbench.envs.adopt import adopt
@@ -13,9 +12,11 @@ from estbench.envs.errors import EnvError
 from estbench.envs.features import Features
 from estbench.envs.following import Following
 from estbench.envs.member import Member
+from estbench.envs.prior import Prior
 from estbench.errors import CovarianceError, EstimatorError, did_you_mean
 from estbench.estimators import registry
 from estbench.estimators.protocol import depends_on_time
+from estbench.experiment.starts import default_std, still
 from estbench.inference.fusion import Delays
 from estbench.inference.live import LiveFilter
 from estbench.randomness import streams
@@ -23,11 +24,12 @@ from estbench.randomness.streams import Seeds
 from estbench.robots import backend, layout, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.fields import Fields
+from estbench.robots.held import REST, held, note
 from estbench.robots.model import MujocoModel
 from estbench.sensors.clock import Clocks, Event
 from estbench.sensors.suite import SensorSuite
 from estbench.sensors.timing import Instant, Schedule
-from estbench.shapes import Array, Bool, Ints, Mask
+from estbench.shapes import Array, Ints, Mask
 from estbench.spaces.patterns import expand
 
 _log = logging.getLogger("estbench")
@@ -54,7 +56,7 @@ class Watch:
         estimator: str | Mapping[str, Any],
         sensors: str | Path | Sequence[str] | Mapping[str, Any] | None,
         process_noise: float | Mapping[str, Any],
-        initial_std: float | Sequence[float] | dict[str, float],
+        initial_std: float | Sequence[float] | dict[str, float] | None,
         model_set: Mapping[str, float | Sequence[float]] | None,
         follow: bool,
         frame_skip: int,
@@ -66,24 +68,23 @@ class Watch:
         model, self._timestep = adopted.model, float(member.model.opt.timestep)
         self._assumed, self._after = adopted.notices, 1 + model.nq + model.nv + model.na
         self.space = layout.state_space(model)
-        std = expand(initial_std, self.space.names, "initial_std")
+        unsaid = initial_std is None
+        std = expand(
+            default_std(model).tolist() if initial_std is None else initial_std,
+            self.space.names,
+            "initial_std",
+        )
         if not (std >= 0).all():
             raise CovarianceError(
                 f"initial_std is {std.min():g}; a standard deviation is at least 0"
             )
-        held = _held(model)
-        still = np.zeros(self.space.n, bool)
-        still[model.nv : 2 * model.nv] = held & np.isscalar(initial_std)
-        std = np.where(still, 0.0, std)
-        if held.any() and np.isscalar(initial_std):
-            names = ", ".join(np.array(self.space.names)[: model.nv][held].tolist())
-            self._assumed += (
-                f"{names}: the damping stops any motion within a physics step, so the velocity is "
-                "believed to be zero",
-            )
+        if unsaid or np.isscalar(initial_std):
+            std = np.where(still(model), 0.0, std)
+            if std.size and held(model).any():
+                self._assumed += (note(model, self.space.names),)
         for line in self._assumed:
             _log.warning("%s: %s", name, line)
-        self._std, self._cov = std, np.repeat(np.diag(std**2)[None], rows, axis=0)
+        self._std, self._prior = std, Prior(model, std)
         self._backend = backend.create(model, nthread)
         self.suite = SensorSuite(model, self._backend, adopted.channels, rows, look=not filtered)
         timed, window = False, 0
@@ -163,11 +164,13 @@ class Watch:
         self.suite.start(rows, seed, runs, self.clocks.tick, x, u)
         if self.filter is None:
             return
-        error = np.zeros((len(x), self.space.n))
-        error[rows] = self._std * streams.normals(seed, runs, "initial", 1, self.space.n)[0]
+        white = streams.normals(seed, runs, "initial", 1, self.space.n)[0]
+        n = self.space.n
+        error, cov = np.zeros((len(x), n)), np.zeros((len(x), n, n))
+        error[rows], cov[rows] = self._prior.errors(x[rows], inputs[rows], white)
         keys = np.zeros(len(x), np.uint64)
         keys[rows] = streams.run_keys(seed, runs, "estimator")
-        self.filter.start(rows, self.space.plus(x, -error), self._cov, keys)
+        self.filter.start(rows, self.space.plus(x, -error), cov, keys)
 
     def step(self, nstep: int, x: Array, inputs: Array, mask: Mask | None = None) -> None:
         """Go on by `nstep` physics steps, to the true states x `(row, nx)`; under `quiet`.
@@ -208,10 +211,11 @@ class Watch:
         """Predict once from where the environment is: can the estimator use this model?"""
         rows, state = tried.rows, member.state()[None]
         mean, inputs = (np.repeat(part, rows, axis=0) for part in self.divided(state))
+        _, cov = self._prior.errors(mean, inputs, np.zeros((rows, self.space.n)))
         _, u = self._following.inputs(inputs)
         nstep, keys = self.frame_skip, np.zeros(rows, np.uint64)
         instant = Instant(0.0, nstep * self._timestep, nstep, (), True, nstep)
-        tried.start(np.arange(rows), mean, self._cov, keys)
+        tried.start(np.arange(rows), mean, cov, keys)
         tried.step(Event(nstep, instant), u, [])
         tried.settle()
         if tried.failed.any():
@@ -223,15 +227,6 @@ class Watch:
                 else "its first prediction is not finite; choose another estimator or process_noise"
             )
             raise EstimatorError(f"estimator {type(tried.estimator).__name__}: {remedy}")
-
-
-def _held(model: mujoco.MjModel) -> Bool[Mask, " nv"]:
-    """Coordinates whose damping leaves less than 1e-4 of a velocity after one physics step.
-
-    v⁺ = v / (1 + h d / M) with implicit damping d. A noise on such a velocity would be a force that
-    no robot withstands (bases that are held by a damping of 1e11).
-    """
-    return np.asarray(model.dof_damping * model.opt.timestep > 1e4 * model.dof_M0)
 
 
 def _estimator(estimator: str | Mapping[str, Any], model: MujocoModel) -> Any:
@@ -247,7 +242,7 @@ def _estimator(estimator: str | Mapping[str, Any], model: MujocoModel) -> Any:
 
 def _disturbance(model: Any, space: Any, given: float | Mapping[str, Any]) -> Disturbance:
     if not isinstance(given, Mapping):
-        velocities = np.where(_held(model), 0.0, given)
+        velocities = np.where(held(model), REST, 1.0) * given
         return Disturbance.build(
             model, space, "additive", [*np.zeros(model.nv), *velocities, *np.zeros(model.na)]
         )

@@ -43,8 +43,9 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         observe: `env` (the environment's own observation, at the estimate), `state`, `belief`,
             `covariance`, or `raw` (sensor readings, no filter). By default `env`, or `state`,
             with a notice, for an environment that cannot compute its observation at an estimate.
-        initial_std: P₀'s standard deviations: a number, a list or a table of patterns. 0 starts
-            the filter at the truth.
+        initial_std: P₀'s standard deviations: a number, a list or a table of patterns; default
+            0.05, and 0.005 with equality constraints, along which x̂₀ and P₀ lie. 0 starts the
+            filter at the truth.
         model_set: `field.object` = value: where the filter's model differs from the environment's.
         model: what the filter knows when the environment changes its model (parameters that are
             drawn per episode, a body that is moved) or applies forces: `follow` (all of it), or
@@ -66,7 +67,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         sensors: str | Path | Sequence[str] | Mapping[str, Any] | None = None,
         process_noise: float | Mapping[str, Any] = 0.01,
         observe: str | None = None,
-        initial_std: float | Sequence[float] | dict[str, float] = 0.05,
+        initial_std: float | Sequence[float] | dict[str, float] | None = None,
         model_set: Mapping[str, float | Sequence[float]] | None = None,
         model: Given = "follow",
         data: Given = None,

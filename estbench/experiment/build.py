@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from estbench.errors import ScenarioError
-from estbench.experiment.starts import default_std
+from estbench.experiment.starts import default_number
 from estbench.robots import added_sensors as adding
 from estbench.robots import contacts, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.held import REST, held, note
 from estbench.scenario.schema import (
     AddSensor,
     ContactSection,
@@ -174,7 +175,7 @@ def disturbance(
         if section.kind == "additive":
             # On the velocities only, so that positions stay the integrals of velocities.
             values = np.zeros(space.n)
-            values[model.nv : 2 * model.nv] = DEFAULT_DENSITY
+            values[model.nv : 2 * model.nv] = np.where(held(model), REST, 1.0) * DEFAULT_DENSITY
             density = values.tolist()
         elif section.kind == "force":
             density = default_force_density(model).tolist()
@@ -184,6 +185,8 @@ def disturbance(
                 "force": "every velocity, (unit)²/s, as forces scaled by the robot's inertia",
             }
             assumed = what.get(section.kind, "every control, (unit)² s")
+            if held(model).any():
+                notices.append(note(model, space.names))
     disturbance = Disturbance.build(model, space, section.kind, density, section.matrix)
     axes, where = len(disturbance.density), "process_noise"
     schedule = schedules.build(section.schedule, axes, duration, f"{where}.schedule", "Q_s")
@@ -204,7 +207,8 @@ def default_force_density(model: mujoco.MjModel) -> Float[Array, " nv"]:
     (N or N m)² s: a constant density would throw a light robot and not move a heavy one.
     """
     inverse = np.asarray(model.dof_invweight0, np.float64)
-    return np.where(inverse > 0, DEFAULT_DENSITY / np.where(inverse > 0, inverse, 1.0) ** 2, 0.0)
+    moves = (inverse > 0) & ~held(model)
+    return np.where(moves, DEFAULT_DENSITY / np.where(moves, inverse, 1.0) ** 2, 0.0)
 
 
 def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str]) -> None:
@@ -214,7 +218,7 @@ def note_defaults(scenario: Scenario, model: mujoco.MjModel, notices: list[str])
         first = f"the first keyframe, '{model.key(0).name}'" if model.nkey else "qpos0 at rest"
         notices.append(f"no model.keyframe given; starting about {first}")
     if "initial" not in given:
-        notices.append(f"no [initial] given; assuming a std of {default_std(model)} everywhere")
+        notices.append(f"no [initial] given; assuming a std of {default_number(model)} everywhere")
     if "control" not in given:
         notices.append("no [control] given; holding the nominal control")
     if "simulation" not in given:

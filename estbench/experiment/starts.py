@@ -6,17 +6,18 @@ import numpy as np
 from estbench.errors import CovarianceError, DimensionError
 from estbench.robots import contacts
 from estbench.robots.feasible import has_equalities
+from estbench.robots.held import held
 from estbench.scenario.schema import InitialSection, Scenario
 from estbench.sensors import datasheet
-from estbench.shapes import Array, Float
+from estbench.shapes import Array, Bool, Float, Mask
 from estbench.simulation.initial import Constraints, InitialStates
 from estbench.spaces.manifold import Manifold
 from estbench.spaces.patterns import expand
 
 _MOVED = 1e-3
 """Change of a coordinate of x̂₀, in its unit, that is worth a notice."""
-_LOOPED = 0.1
-"""Factor on the default standard deviation of a robot with equality constraints."""
+_LOOPED = 10.0
+"""Divisor of the default standard deviation of a robot with equality constraints."""
 
 
 def build(
@@ -41,7 +42,7 @@ def build(
     """
     section = scenario.initial
     if not _says_spread(section):
-        section = section.model_copy(update={"std": default_std(model)})
+        section = section.model_copy(update={"std": default_std(model).tolist()})
     centre, spread = _given(section, model, space, x0)
     kind = _constraints(scenario.initial, model)
     initial = InitialStates.build(model, space, centre, spread, kind)
@@ -58,15 +59,29 @@ def build(
     return initial, mean, cov
 
 
-def default_std(model: mujoco.MjModel) -> float:
+def default_std(model: mujoco.MjModel) -> Float[Array, " n"]:
     """Standard deviation of each coordinate of x₀ where the scenario gives none, in its unit.
+
+    Zero for a velocity that is held by its damping (`robots.held`).
 
     With equality constraints it is small: joints of a gripper of some grams turn by tens of rad/s
     when a loop that is wrong by 0.05 rad closes, which no Gaussian belief describes.
     """
+    return np.where(still(model), 0.0, default_number(model))
+
+
+def default_number(model: mujoco.MjModel) -> float:
+    """The number that `default_std` is, where it is not zero."""
     std = InitialSection().std
     assert isinstance(std, float)
-    return std * (_LOOPED if has_equalities(model) else 1.0)
+    return std / _LOOPED if has_equalities(model) else std
+
+
+def still(model: mujoco.MjModel) -> Bool[Mask, " n"]:
+    """The tangent coordinates that are velocities held by their damping."""
+    out = np.zeros(2 * model.nv + model.na, bool)
+    out[model.nv : 2 * model.nv] = held(model)
+    return out
 
 
 def _says_spread(section: InitialSection) -> bool:

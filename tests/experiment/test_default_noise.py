@@ -29,3 +29,17 @@ def test_a_robot_of_20_grams_survives_the_default_force(tmp_path):
     assert not results["ekf"].failures
     assert results["ekf"].diverged == 0
     assert any("as forces scaled by the robot's inertia" in n for n in results.notices)
+
+
+def test_a_base_that_its_damping_holds_is_not_shaken(tmp_path):
+    """As Fetch's: noise on a velocity that a damping of 1e11 stops would be a force of 1e8 N."""
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="base" type="slide" damping="1e11"/>'
+        '<geom size="0.1"/><body><joint name="arm" axis="0 1 0"/><geom size="0.05" pos="1 0 0"/>'
+        "</body></body></worldbody></mujoco>"
+    )
+    results = estbench.run(path, "ukf", runs=3, duration=0.1)
+    assert results["ukf"].verdict != "simulation failed"
+    assert results["ukf"].diverged == 0.0
+    assert any(n.startswith("base: the damping stops any motion") for n in results.notices)
