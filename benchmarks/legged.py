@@ -1,7 +1,8 @@
 """Filters on walking robots: `python -m benchmarks.legged`.
 
 The bundled quadruped and biped stand, then walk: IMU, encoders and foot contact, no position fix.
-Filters of the whole dynamics (`ekf`, `ukf`, `rotated_ukf`) and of IMU and leg kinematics
+Filters of the whole dynamics (`ekf`, `ukf`, `rotated_ukf`, and `symmetric`, which is the last with
+`symmetries = true`) and of IMU and leg kinematics
 (`contact_ekf`, `contact_inekf`, and GTSAM's where it is installed) on the same truth and readings.
 Prints the table of docs/contact.md: verdict, NEES/n of the whole state and of the base alone (pose
 and velocity, 9 coordinates), the RMSE of the velocity of the base, the error of position and yaw at
@@ -23,7 +24,9 @@ from estbench.spaces.linalg import quadratic_form
 from estbench.tables.quantity import quantity
 
 ROBOTS = ("quadruped", "biped")
-FILTERS = ("ekf", "ukf", "rotated_ukf", "contact_ekf", "contact_inekf")
+FILTERS = ("ekf", "ukf", "rotated_ukf", "symmetric", "contact_ekf", "contact_inekf")
+SETTINGS = {"symmetric": {"type": "rotated_ukf", "symmetries": True}}
+"""Label -> settings, of the labels that are no names of estimators."""
 HEAD = (
     "estimator", "verdict", "NEES/n", "NIS/m", "NEES/9 of the base", "velocity, mm/s",
     "position at the end, mm", "yaw at the end, mrad", "µs per step",
@@ -56,7 +59,7 @@ def main() -> None:
     for robot in args.robots:
         length = [] if args.duration is None else [f"simulation.duration={args.duration}"]
         scenario = load(robot, [f"simulation.seed={args.seed}", "bound=false", *length, *args.set])
-        labels = {name: scenario.estimators.get(name, {}) for name in args.only}
+        labels = {k: scenario.estimators.get(k, SETTINGS.get(k, {})) for k in args.only}
         prepared = build(scenario.model_copy(update={"estimators": labels}))
         section, runs, nv = scenario.consistency, range(args.runs), prepared.plant.model.nv
         seconds = prepared.times[-1]

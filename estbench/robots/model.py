@@ -11,9 +11,10 @@ from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.models.differences import Differences
 from estbench.models.legged import Legs
 from estbench.models.protocol import Channels
-from estbench.robots import backend, given, layout, legs
+from estbench.robots import backend, given, layout, legs, level_ground
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.level_ground import LevelGround
 from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
 from estbench.shapes import Array, Float
 from estbench.spaces.linalg import added_first, rescaled
@@ -262,6 +263,15 @@ class MujocoModel:
             if len(source.sensors) == 1 and source.axes is None:
                 sensors[channel.name] = source.sensors[0]
         return legs.find(self.mjmodel, sensors, [c.name for c in self.channels], self._backend)
+
+    @cached_property
+    def symmetries(self) -> LevelGround:
+        """See `models.symmetric.SymmetricModel`.
+
+        Raises:
+            ScenarioError: the robot has no floating base; see `robots.level_ground.find`.
+        """
+        return level_ground.find(self.mjmodel)
 
     def steps(self, dt: float) -> int:
         """Number of physics steps in dt.

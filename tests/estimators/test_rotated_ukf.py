@@ -3,6 +3,7 @@ import pytest
 from scipy.special import gammaln
 
 import estbench
+from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import start
 from estbench.estimators.imm import IMM
 from estbench.estimators.rotated_ukf import RotatedUKF
@@ -200,3 +201,60 @@ def test_half_a_radian_of_a_ball_and_of_a_free_joint(name, limit):
     ahead = filter.predict(filter.init(x, np.diag(std**2)[None]), u, 0.0, 0.2)
     assert np.abs(whiten @ space.minus(ahead.mean, mean)[0]).max() < 0.05
     assert np.abs(whiten @ ahead.cov[0] @ whiten.T - np.eye(space.n)).max() < limit
+
+
+class Along:
+    """The direction of the first of four coordinates."""
+
+    count = 1
+
+    def __call__(self, x):
+        return np.tile(np.eye(4)[:, :1], (len(x), 1, 1))
+
+
+class Place(FunctionModel):
+    """A place, on which three other coordinates do not depend."""
+
+    symmetries = Along()
+
+
+def test_points_along_a_symmetry_keep_an_axis_of_their_own():
+    """The readings then say nothing of the place, and something of it by chance without it."""
+
+    def move(x, u, t, dt):
+        inner = np.abs(x[..., 1:]) - 0.3
+        return np.concatenate([x[..., :1], inner], axis=-1)
+
+    model = Place(move, lambda x, u, t: np.abs(x[..., 1:]), 1e-4 * np.eye(4), 0.01 * np.eye(3))
+    runs, u = 3, np.zeros((3, 0))
+    rng = np.random.default_rng(0)
+    mean, y = rng.standard_normal((2, runs, 4))
+    cov = random_cov(rng, 4, runs, 0.5)
+    cov[:, 0, 1:] = cov[:, 1:, 0] = 0.0
+    for symmetries in (True, False):
+        filter = RotatedUKF(model, symmetries=symmetries)
+        begun = filter.init(mean, cov)
+        xi = filter.rule_at(begun, PREDICTION)
+        np.testing.assert_allclose(xi.cross(xi.points, xi.points), np.tile(np.eye(4), (3, 1, 1)),
+                                   atol=1e-12)  # fmt: skip
+        alone = filter.init(mean[1:2], cov[1:2], np.array([1], np.uint64))
+        np.testing.assert_array_equal(filter.rule_at(alone, PREDICTION).points, xi.points[1:2])
+        ahead = filter.predict(begun, u, 0.0, 1.0)
+        after, _ = filter.update(ahead, y[:, 1:], u, 1.0)
+        for belief in (ahead, after):
+            place = np.abs(belief.mean[:, 0] - mean[:, 0]), np.abs(belief.cov[:, 0, 1:]).max(axis=1)
+            assert bool(np.max(place) < 1e-12) is symmetries
+        exact = cov[:, 0, 0] + 1e-4
+        assert np.allclose(after.cov[:, 0, 0], exact, rtol=1e-12) is symmetries
+    # A place that is known exactly: P has no Cholesky factor.
+    filter, cov = RotatedUKF(model, symmetries=True), cov * (np.arange(4) > 0)
+    after, _ = filter.update(filter.init(mean, cov * (np.arange(4) > 0)[:, None]), y[:, 1:], u, 0.0)
+    np.testing.assert_array_equal(after.mean[:, 0], mean[:, 0])
+    assert (after.fault == 0).all()
+
+
+def test_symmetries_of_a_model_that_has_none():
+    with pytest.raises(EstimatorError, match="RotatedUKF: symmetries is true, but the model has n"):
+        RotatedUKF(nonlinear_model(2), symmetries=True)
+    with pytest.raises(EstimatorError, match="but place and heading are symmetries of one robot"):
+        RotatedUKF(mujoco_model("ball"), symmetries=True)

@@ -86,7 +86,9 @@ class GtsamInEKF(ContactEKF):
         for one, reading in zip(belief.filters, belief.imu):
             one.predict(reading[:3], reading[3:], dt)
         joints, joint_cov = joint_step(belief.joints, belief.joint_cov, self.joint_acceleration, dt)
-        return replace(self._taken(belief), joints=joints, joint_cov=joint_cov, dt=dt)
+        return replace(
+            self._taken(belief), joints=joints, joint_cov=joint_cov, age=belief.age + dt, dt=dt
+        )
 
     def update(
         self,
