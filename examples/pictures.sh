@@ -50,3 +50,36 @@ END
 
 # That of docs/contact.md.
 python examples/rotated_points.py docs/images/contact.png
+
+# The robots with legs of docs/contact.md.
+python - <<'END'
+import mujoco
+import numpy as np
+from PIL import Image
+
+from estbench.experiment import setup
+from estbench.experiment.recording import trajectory
+from estbench.montecarlo import run as experiment
+
+VIEWS = {"quadruped": (1.25, (0.2, 0.7, 1.0, 1.3)), "biped": (0.85, (0.2, 0.9, 1.3, 1.9))}
+rows = []
+for robot, (distance, times) in VIEWS.items():
+    prepared = setup.build(experiment.resolve(robot))
+    x, model = trajectory(prepared, [0]).x[:, 0], prepared.plant.model
+    data, renderer = mujoco.MjData(model), mujoco.Renderer(model, 220, 250)
+    camera = mujoco.MjvCamera()
+    camera.distance, camera.azimuth, camera.elevation = distance, 110, -12
+    camera.lookat = [0.08, 0.0, 0.17 if robot == "quadruped" else 0.2]
+    row = []
+    for time in times:
+        at = x[np.searchsorted(prepared.times, time)]
+        data.qpos, data.qvel = at[: model.nq], at[model.nq : model.nq + model.nv]
+        mujoco.mj_forward(model, data)
+        renderer.update_scene(data, camera)
+        row.append(renderer.render())
+    rows.append(np.concatenate(row, axis=1))
+    renderer.close()
+name = "docs/images/walking.png"
+image = Image.fromarray(np.concatenate(rows)).convert("P", palette=Image.Palette.ADAPTIVE, colors=128)
+image.save(name, optimize=True)
+END
