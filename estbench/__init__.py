@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from estbench.store.zarr import open_results
     from estbench.study.store import open_study
     from estbench.study.sweep import sweep
+    from estbench.suites.design import design
     from estbench.suites.observability import observability
     from estbench.tuning.tune import tune
 
@@ -92,6 +93,7 @@ __all__ = [
     "StoreError",
     "StudyError",
     "budget",
+    "design",
     "follow",
     "load",
     "observability",
@@ -135,6 +137,7 @@ _MODULES = {
     "store.zarr": ("open_results",),
     "study.store": ("open_study",),
     "study.sweep": ("sweep",),
+    "suites.design": ("design",),
     "suites.observability": ("observability",),
     "tuning.tune": ("tune",),
 }  # fmt: skip

@@ -106,13 +106,13 @@ def _compared(budget: Budget, coordinates: Sequence[int]) -> Table:
         own += [quantity(sampled.total()[c].root()), _signed(sampled.rest()[c])]
         less += ["", ""]
         expected += [_sigma(budget.total[c]) if linear else "–", ""]
-        head = f"{budget.names[c]}\n[{budget.units[c]}]"
-        columns = (Column(f"σ alone {_head(budget, c)}", tuple(own), narrow=f"σ alone {head}"),
-                   Column("without: less by", tuple(less), narrow="without:\nless by"))  # fmt: skip
+        name, unit = budget.names[c], budget.units[c]
+        columns = {"alone": own, "without": less}
         if linear:
-            columns = (Column(f"σ linear {_head(budget, c)}", tuple(expected),
-                              narrow=f"σ linear {head}"), *columns)  # fmt: skip
-        groups.append(columns)
+            columns = {"linear": expected, **columns}
+        for what, cells in columns.items():
+            narrow = f"σ {name}\n{what}\n[{unit}]"
+            groups.append((Column(f"σ {name} {what} [{unit}]", tuple(cells), narrow=narrow),))
     note = (
         f"{sampled.runs} runs of each variant, on common random numbers; without: root of the "
         "decrease of the mean square error; rest: what the sources do together that they do not "

@@ -17,6 +17,7 @@ from estbench.commands import (
     check,
     compare,
     control,
+    design,
     explain,
     observability,
     report,
@@ -70,6 +71,7 @@ for command in (
     explain,
     budget,
     observability,
+    design,
 ):
     command.register(app)
 

@@ -301,6 +301,7 @@ class ChannelSection(Section):
     latency: Delay | None = Field(None, description="s from sampling to arrival")
     latency_std: Delay = Field(0.0, description="std of the latency about its mean `latency`, s")
     enabled: bool = True
+    cost: NonNegative | None = Field(None, description="for `estbench design`; default 1")
     add: AddSensor | None = None
     of: list[str] | None = Field(None, description="sensors that form one channel, with one R")
     axes: list[Index] | None = Field(
