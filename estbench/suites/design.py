@@ -159,7 +159,8 @@ def of_setup(
         return course.shown([{n: 1.0 for n in every if n in c or n in always} for c in chosen])
 
     def meets(chosen: Sequence[Chosen]) -> list[bool]:
-        return (_std(suites(chosen), len(names)) <= bound).all(axis=1).tolist()
+        reached = _std(suites(chosen), len(names))
+        return [bool((std <= bound).all()) for std in reached]
 
     order, _ = greedy(free, lambda chosen: suites(chosen).information)
     heads = suites([frozenset(order[:k]) for k in range(len(order) + 1)])
