@@ -8,6 +8,7 @@ estimators of one run.
 """
 
 import argparse
+import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -93,7 +94,7 @@ def report(title: str, tuned: Tuned, began: float) -> None:
     held = tuned.held_out
     assert held is not None
     values = ", ".join(
-        f"{p.key.rpartition('.')[2] if 'set' not in p.key else p.key.partition('set.')[2]} "
+        f"{re.split(r'density[.]|set[.]|filter[.]', p.key)[-1]} "
         f"{quantity(i) if i is not None else v}"
         for p, v, i in zip(tuned.parameters, tuned.values, tuned.intervals)
     )
@@ -167,9 +168,9 @@ def own(args: argparse.Namespace) -> None:
     try:
         began = time.monotonic()
         tuned = estbench.tune(
-            "pendulum", "pf", ["size=100,300,1000", "regularization=0.01:2"], runs=10,
-            duration=0.5, objective="mse", method="optuna", iterations=16,
-            overrides=["estimators.pf.regularization=1.0"],
+            "pendulum", "pf", ["size=100,300,1000", "regularization=0.01:2"], runs=20,
+            duration=0.5, objective="mse", method="optuna", iterations=20,
+            overrides=["estimators.pf.size=100", "estimators.pf.regularization=0.05"],
         )  # fmt: skip
         report("pf by optuna", tuned, began)
     except estbench.EstbenchError as error:

@@ -15,7 +15,7 @@ late=(
 estbench run quadrotor "${late[@]}" --runs 60 --out "$folder/store" \
   --set 'estimators={ exact = { type = "ekf" }, naive = { type = "ekf", delays = "naive" } }'
 estbench plot "$folder/store" --what nees --format png --out docs/images/nees.png
-estbench video "$folder/store" -e exact --run 7 --at 2.4 --width 480 --height 360 \
+estbench video "$folder/store" -e exact --run 7 --at 1.6 --width 480 --height 360 \
   --out docs/images/ghost.png
 python - <<'PICTURE'
 import gymnasium as gym
@@ -47,6 +47,10 @@ from PIL import Image  # fewer colours, a quarter of the size
 name = "docs/images/sensors.png"
 Image.open(name).convert("P", palette=Image.Palette.ADAPTIVE, colors=64).save(name, optimize=True)
 END
+
+# That of docs/tuning.md.
+estbench sweep quadrotor -e ekf --runs 24 --duration 1 --over channels.position.rate=5,10,25,50 \
+  --over channels.position.noise=0.005,0.01,0.02,0.05 --plot docs/images/sweep.png
 
 # That of docs/contact.md.
 python examples/rotated_points.py docs/images/contact.png

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from estbench.errors import StudyError
+from estbench.spaces.patterns import is_number
 from estbench.study import keys
 
 Sample = Literal["sobol", "latin"]
@@ -72,6 +73,9 @@ def parse(text: str) -> tuple[keys.Names, Range | tuple[Any, ...]]:
     form, *numbers = spec.strip().split(":")
     if form in ("lin", "log"):
         return names, _range(keys.show(names), form, numbers)
+    if numbers and all(map(is_number, (form, *numbers))):
+        spec = spec.strip()
+        raise StudyError(f"--over {text!r}: a range names its scale; use lin:{spec} or log:{spec}")
     values = _values(spec.strip())
     _check_values(keys.show(names), values)
     return names, values

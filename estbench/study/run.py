@@ -72,7 +72,7 @@ def run(
     count = workers or executors.fitting(kind, size * batch.run_bytes(first, level))
     using = executors.pool(kind, count, address)
     pieces: dict[Piece, Outcomes] = {}
-    kept = {d: common[d] for d in needed}
+    kept = {d: common[d] for d in sorted(needed)}  # the same file in each process
     store = None
     if out is None:
         runs = study.scenario.simulation.runs

@@ -37,6 +37,7 @@ def test_values(spec, values):
         ("filter.process_noise_scale=log:a:1:3", "is no range"),
         ("filter.process_noise_scale=lin:0:1:0", "use a count of at least 1"),
         ("filter.process_noise_scale=lin:0:1", "the range has no count"),
+        ("filter.process_noise_scale=0.1:10", "use lin:0.1:10 or log:0.1:10"),
         ("filter.process_noise_scale=1,,2", "a value is missing"),
         ("filter.process_noise_scale=1,2,1", "the value 1 is given twice"),
     ],

@@ -80,6 +80,7 @@ def test_a_store_has_the_keys_as_dimensions_and_is_gone_on_with(tmp_path, simula
     assert tree["done"].values.all()
     # A writer that is killed leaves pieces that are not marked as done: here two of the six.
     about = read_about(folder)
+    assert list(about["sizes"]) == sorted(about["sizes"])  # not in the order of a set
     store = StudyStore(folder, made, about["sizes"], about["batch_size"])
     for piece in ((0, 1), (1, 2)):
         store._arrays["done"][store._where(piece)] = False

@@ -28,6 +28,8 @@ DEFAULT = ("anees_over_n", "rmse")
 TITLES = {"anees_over_n": "NEES/n", "rmse": "RMSE (geometric mean)", "anis_over_m": "NIS/m"}
 HEIGHT = 2.0
 """Inches of one set of axes."""
+TICKS = 8
+"""Most labels on an axis of a map."""
 
 
 def draw(study: Study, found: xr.Dataset, path: Path, what: Sequence[str] = DEFAULT) -> None:
@@ -170,12 +172,12 @@ def _panels(study: Study, found: xr.Dataset, panels: Sequence[Sequence[Any]]) ->
             good = np.asarray(part["verdict"].values == "consistent")
             drawn = _map(one, study, z, good, norm)
             one.set_title(title)
-            _axis(one, study, 0, "x")
-            _axis(one, study, 1, "y")
             one.label_outer()
             one.grid(False)
         figure.colorbar(drawn, ax=list(axes), label=TITLES.get(row[0][0], row[0][0]))
-    figure.supxlabel("outlined: the verdict is consistent", fontsize=7)
+    some = bool((found["verdict"] == "consistent").any())
+    note = "outlined: the verdict is consistent" if some else "no verdict is consistent"
+    figure.supxlabel(note, fontsize=7)
     return figure
 
 
@@ -188,26 +190,29 @@ def _norm(values: Array) -> Normalize:
 
 
 def _map(axes: Axes, study: Study, z: Array, good: NDArray[np.bool_], norm: Normalize) -> Any:
-    """One map, or the points of a design."""
+    """One map with cells of one size, in ascending order, or the points of a design."""
     (x, _), (y, _) = _numbers(study, 0), _numbers(study, 1)
     if not study.grid:
+        _axis(axes, study, 0, "x")
+        _axis(axes, study, 1, "y")
         axes.scatter(x[good], y[good], s=60, facecolors="none", edgecolors="black", linewidths=1.0)
         return axes.scatter(x, y, c=z, s=22, norm=norm, cmap="viridis")
-    edges = [_edges(v, study.axes[i].log) for i, v in enumerate((x, y))]
-    drawn = axes.pcolormesh(*edges, z.T, norm=norm, cmap="viridis")
-    _outline(axes, edges, good)
+    order = np.ix_(np.argsort(x, kind="stable"), np.argsort(y, kind="stable"))
+    edges = [np.arange(len(v) + 1, dtype=np.float64) - 0.5 for v in (x, y)]
+    drawn = axes.pcolormesh(*edges, z[order].T, norm=norm, cmap="viridis")
+    _outline(axes, edges, good[order])
+    for i, which in enumerate("xy"):
+        _cells(axes, study, i, which)
     return drawn
 
 
-def _edges(values: Array, log: bool) -> Array:
-    """The edges between the cells of sorted or unsorted values, halfway."""
-    v = np.log(values) if log else values
-    if len(v) == 1:
-        out = np.array([v[0] - 0.5, v[0] + 0.5])
-    else:
-        middle = 0.5 * (v[1:] + v[:-1])
-        out = np.concatenate([[2 * v[0] - middle[0]], middle, [2 * v[-1] - middle[-1]]])
-    return np.exp(out) if log else out
+def _cells(axes: Axes, study: Study, index: int, which: str) -> None:
+    """The key of one axis of a map, and the values of its cells; of many, some."""
+    values, kinds = _numbers(study, index)
+    texts = [f"{v:.3g}" for v in np.sort(values)] if kinds is None else kinds
+    each = -(-len(texts) // TICKS)
+    getattr(axes, f"set_{which}label")(study.axes[index].key)
+    getattr(axes, f"set_{which}ticks")(range(0, len(texts), each), texts[::each])
 
 
 def _outline(axes: Axes, edges: Sequence[Array], good: NDArray[np.bool_]) -> None:

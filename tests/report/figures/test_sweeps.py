@@ -58,6 +58,20 @@ def test_two_keys_have_a_map_with_the_consistent_region_outlined(three):
     np.testing.assert_allclose(mesh.get_array().reshape(2, 3), found.anees_over_n.values[..., 0].T)
     (lines, _) = (c for c in figure.axes[0].collections if isinstance(c, LineCollection))
     assert len(lines.get_segments()) == 8  # around three cells in an L
+    assert [t.get_text() for t in figure.axes[0].get_xticklabels()] == ["0.01", "1", "100"]
+    assert figure.get_supxlabel() == "outlined: the verdict is consistent"
+
+
+def test_the_cells_of_a_map_are_in_ascending_order_and_no_region_is_claimed():
+    study, found = swept(["filter.process_noise_scale=10,0.1,1", "start.inflate=2,1"])
+    found = found.copy(deep=True)
+    found["verdict"].values[...] = "undecided"
+    figure = sweeps._maps(study, found, ["anees_over_n"])
+    mesh = figure.axes[0].collections[0]
+    expected = found.anees_over_n.values[[1, 2, 0]][:, [1, 0], 0]
+    np.testing.assert_allclose(mesh.get_array().reshape(2, 3), expected.T)
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["1", "2"]
+    assert figure.get_supxlabel() == "no verdict is consistent"
 
 
 def test_three_keys_have_small_multiples(three, tmp_path):
