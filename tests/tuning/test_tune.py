@@ -78,6 +78,16 @@ def test_the_tables_name_what_was_done(tuned):
     assert "log-lik. change" in text.replace("\n", " ") or "change" in text
 
 
+def test_q_of_each_coordinate_is_recovered_from_a_factor_of_100():
+    free = [f'filter.process_noise.density."{axis}.vel"' for axis in ("cart", "pole")]
+    found = estbench.tune(
+        "cartpole", "ekf", free, runs=8, duration=1.0, held_out=0,
+        overrides=[f"{key}=1.0" for key in free],
+    )  # fmt: skip
+    assert (found.uncertainty.std < 0.8).all()
+    assert (np.abs(np.log(found.values) - np.log(0.01)) < 4 * found.uncertainty.std).all()
+
+
 def test_a_squared_error_determines_the_ratio_of_q_and_r_only():
     found = estbench.tune(
         "pendulum", "ekf", [f"{Q}=0.05:20", f"{R}=0.05:20"], **SHORT, objective="mse", held_out=0,
