@@ -45,12 +45,12 @@ def test_filters_of_legs_follow_it(robot):
 
 
 def test_the_benchmark_prints_a_row_for_each(monkeypatch, capsys):
-    words = ["--runs", "2", "--duration", "0.02", "--robots", "biped", "--only", "contact_ekf"]
-    monkeypatch.setattr(sys, "argv", ["legged", *words])
+    short = ["--runs", "2", "--duration", "0.02", "--robots", "biped"]
+    monkeypatch.setattr(sys, "argv", ["legged", *short, "--only", "contact_ekf", "symmetric"])
     legged.main()
     table, reasons = capsys.readouterr().out.strip().split("\n\n")
     title, head, _, *rows = table.splitlines()
     assert title == "## biped, seed 1, 2 runs of 0.02 s"
-    assert [row.split("|")[1].strip() for row in rows] == ["`contact_ekf`"]
+    assert [row.split("|")[1].strip() for row in rows] == ["`contact_ekf`", "`symmetric`"]
     assert {row.count("|") for row in rows} == {head.count("|")}
     assert reasons.startswith("`contact_ekf`: ")
