@@ -72,7 +72,7 @@ def test_wrong_damping_bias_drift_and_offset():
         "pendulum", "ekf", 'filter.set={"dof_damping.hinge"=0.2}', "channels.gyro.bias=0.02",
         "channels.gyro.drift=0.02", "channels.gyro.drift_time=0.2", "channels.gyro.bias_walk=0.05",
         'start.offset={"hinge"=0.02}', 'truth.draw={"body_mass.arm"={relative_std=0.1}}',
-        runs=40, duration=0.25,
+        runs=40, duration=0.12,
     )  # fmt: skip
     analysed, runs = agree(prepared, "ekf")
     names = {source.name for source in runs.sources}
@@ -86,7 +86,7 @@ def test_wrong_damping_bias_drift_and_offset():
 
 
 def test_bias_states_and_a_schmidt_filter():
-    prepared = setup("cartpole_bias", "bias_ekf", runs=24, duration=0.15)
+    prepared = setup("cartpole_bias", "bias_ekf", runs=16, duration=0.04)
     agree(prepared, "bias_ekf")
     for overrides in ((), ('estimators.bias_ekf.considered=["bias.*"]',)):
         prepared = setup("cartpole_bias", "bias_ekf", *overrides, duration=0.5)
@@ -96,7 +96,7 @@ def test_bias_states_and_a_schmidt_filter():
 
 def test_quadrotor_with_a_wrong_mass():
     wrong = 'filter.set={"body_mass.frame"=1.2}'
-    prepared = setup("quadrotor", "ekf", wrong, runs=8, duration=0.06)
+    prepared = setup("quadrotor", "ekf", wrong, runs=8, duration=0.05)
     analysed, _ = agree(prepared, "ekf")
     mass = [s.name for s in analysed.sources].index("parameter.body_mass.frame")
     assert analysed.variance[-1, mass, prepared.space.index("root.vz")] > 0.03**2

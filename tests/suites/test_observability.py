@@ -102,7 +102,7 @@ def test_when_each_direction_becomes_seen():
 
 def test_imu_and_position_leave_the_heading_at_rest():
     sensors = 'sensors=["accel","gyro","position"]'
-    found = estbench.observability("quadrotor", window=0.6, overrides=[sensors], motions=False)
+    found = estbench.observability("quadrotor", window=0.4, overrides=[sensors], motions=False)
     texts = [d.text for d in found.never]
     assert "root.rz" in texts
     assert found.left[found.names.index("root.rz")] > 0.99
@@ -116,7 +116,17 @@ def test_imu_and_position_leave_the_heading_at_rest():
     assert {"root.x", "root.y", "root.z", "root.vx"} < texts.keys()
     assert texts["root.x"].left == pytest.approx(1.0)
     assert "bias.gyro.x" in nowhere.names
-    assert not texts["root.x"].shown_by  # no motion shows it
+
+
+def test_a_motion_that_shows_what_is_hidden():
+    """The acrobot without the encoder of the elbow: a bent elbow moves the shoulder more."""
+    overrides = ['sensors=["shoulder_encoder"]']
+    found = estbench.observability("acrobot", window=1.0, overrides=overrides)
+    (hidden,) = found.never
+    assert "elbow.vel" in hidden.text
+    name, kept = hidden.shown_by[0]
+    assert name == "a start with elbow = 0.5 rad"
+    assert kept < 0.7 < hidden.left
 
 
 def test_coordinates_that_are_known_at_the_start():
