@@ -35,10 +35,13 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "omega0": {"type": "rotated_ukf", "centre_weight": 0.0, "omega": 0.0},
     "omega2": {"type": "rotated_ukf", "centre_weight": 0.0, "omega": 2.0},
     "K4_omega0": {"type": "rotated_ukf", "centre_weight": 0.0, "omega": 0.0, "rotations": 4},
+    "only_omega0": {"type": "rotated_ukf", "omega": 0.0},
+    "only_omega0.5": {"type": "rotated_ukf", "omega": 0.5},
+    "only_K4": {"type": "rotated_ukf", "rotations": 4},
     "urts": {},
     "ipls": {"base": "rotated_ukf", "iterations": 3},
 }
-"""Label -> settings; those of one type show what its settings do."""
+"""Label -> settings; those of one type show what its settings do, `only_` one of them alone."""
 
 
 def scenario(robot: str) -> dict[str, Any]:
