@@ -325,17 +325,3 @@ class ContactAided:
     ) -> Float[Array, "run e e"]:
         """The reverse of `_own`."""
         raise NotImplementedError
-
-
-def reaches(m: Float[Array, "run k"], feet: int) -> Float[Array, "run foot 3"]:
-    """dᵢ - p of each foot, from the IMU to it in the axes of the world, of the states m."""
-    return m[:, 10 : 10 + 3 * feet].reshape(len(m), feet, 3) - m[:, None, 7:10]
-
-
-def blocks(values: Float[Array, "run foot 3 3"]) -> Float[Array, "run f f"]:
-    """A block-diagonal matrix of one block for each foot."""
-    runs, feet = values.shape[:2]
-    out = np.zeros((runs, 3 * feet, 3 * feet))
-    for i in range(feet):
-        out[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = values[:, i]
-    return out

@@ -11,9 +11,8 @@ from estbench.estimators.contact_aided import (
     VELOCITY,
     ContactAided,
     ContactBelief,
-    blocks,
-    reaches,
 )
+from estbench.estimators.standing_feet import blocks, reaches
 from estbench.estimators.update import apply_correction
 from estbench.shapes import Array, Float
 from estbench.spaces import rotation

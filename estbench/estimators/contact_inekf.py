@@ -10,9 +10,8 @@ from estbench.estimators.contact_aided import (
     VELOCITY,
     ContactAided,
     ContactBelief,
-    blocks,
-    reaches,
 )
+from estbench.estimators.standing_feet import blocks, reaches
 from estbench.shapes import Array, Float
 from estbench.spaces import rotation
 from estbench.spaces.linalg import identity

@@ -1,4 +1,4 @@
-"""Feet on the ground that do not stay where they are: they roll, or they slip."""
+"""Feet on the ground: where they are, and how they roll and slip."""
 
 import numpy as np
 from scipy.special import chdtri
@@ -51,3 +51,17 @@ def slipping(
     own = cholesky(S[:, at[:, :, None], at[:, None, :]].reshape(-1, 3, 3))
     white = solve_lower(own, residual.reshape(-1, 3, 1))
     return ((white**2).sum(axis=(-2, -1)) > chdtri(3, 1.0 - gate)).reshape(runs, feet)
+
+
+def reaches(m: Float[Array, "run k"], feet: int) -> Float[Array, "run foot 3"]:
+    """dᵢ - p of each foot, from the IMU to it in the axes of the world, of the states m."""
+    return m[:, 10 : 10 + 3 * feet].reshape(len(m), feet, 3) - m[:, None, 7:10]
+
+
+def blocks(values: Float[Array, "run foot 3 3"]) -> Float[Array, "run f f"]:
+    """A block-diagonal matrix of one block for each foot."""
+    runs, feet = values.shape[:2]
+    out = np.zeros((runs, 3 * feet, 3 * feet))
+    for i in range(feet):
+        out[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = values[:, i]
+    return out
