@@ -2,7 +2,8 @@
 
 Each case runs in a process of its own. Wanted: no traceback, no hang, no death by a signal; what is
 accepted although a value of it is wild is listed, to be judged. Every damaged store is repaired by
---resume or refused by the name of the file. A case is repeated by its number: `--only scenarios
+--resume or refused by the name of the file; a run that is killed and resumed leaves the same bytes.
+A case is repeated by its number: `--only scenarios
 --first 17 --count 1`.
 """
 
@@ -14,10 +15,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from benchmarks.fuzz import calls, controls, models, scenarios, stores
+from benchmarks.fuzz import calls, controls, kills, models, scenarios, stores
 from benchmarks.fuzz.case import Case, attempt
 
-COUNTS = {"scenarios": 1000, "models": 200, "controls": 100, "calls": 200, "stores": 200}
+COUNTS = {"scenarios": 1000, "models": 200, "controls": 100, "calls": 200, "stores": 200,
+          "kills": 20}  # fmt: skip
 MAKERS: dict[str, Callable[[int, int], Iterator[Case]]] = {
     "scenarios": scenarios.cases, "models": models.cases, "controls": controls.cases,
     "calls": calls.cases,
@@ -43,6 +45,8 @@ def main() -> None:
                 whole = Path(folder) / "whole"
                 stores.run(whole)
                 made = stores.cases(total, args.seed, whole)
+            elif kind == "kills":
+                made = kills.cases(total, args.seed, Path(folder) / "uninterrupted")
             else:
                 made = MAKERS[kind](total, args.seed)
             bad += _try(kind, itertools.islice(made, args.first, None), args.first)

@@ -262,7 +262,11 @@ def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], 
         try:
             total = read_costs(folder, batch)[label]
         except FileNotFoundError:
-            continue
+            if INTEGRITY not in tree.attrs:  # an earlier version may lack them
+                continue
+            raise StoreError(
+                f"{folder / COSTS / f'{batch}.json'} is missing; --resume computes its batch again"
+            ) from None
         except (OSError, ValueError, KeyError, TypeError):
             raise StoreError(
                 f"{folder / COSTS / f'{batch}.json'} is damaged; --resume computes its batch again"

@@ -5,6 +5,7 @@ Each command imports what it needs when it runs: `--help` answers at once.
 
 import io
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -39,6 +40,13 @@ app = typer.Typer(
 
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.mro()[1])
 """Base of what typer raises for a bad command line; typer exports no name for it."""
+
+
+_NO_MEMORY = re.compile(
+    "unknown exception|bad_alloc|allocate|new thread|map segment", re.IGNORECASE
+)
+"""How MuJoCo, numpy, the system's loader and Python say that there is no memory; a thread has a
+stack of its own."""
 
 
 def _version(wanted: bool) -> None:
@@ -125,21 +133,18 @@ def main() -> None:
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
-    except MemoryError as error:
-        _complain(_no_memory(error))
-        sys.exit(2)
-    except RuntimeError as error:
-        if "start new thread" in str(error):  # each has a stack of its own
+    except BrokenPipeError:
+        os._exit(0)  # the reader of the output (head, less) has closed the pipe
+    except Exception as error:
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
             _complain(_no_memory(error))
             sys.exit(2)
-        if "MUJOCO_GL" not in str(error):
+        if not isinstance(error, RuntimeError) or "MUJOCO_GL" not in str(error):
             raise
         # The import of MuJoCo failed.
         chosen = os.environ.get("MUJOCO_GL")
         _complain(f"MUJOCO_GL is {chosen!r}; use egl, osmesa, glfw or disable, or unset it")
         sys.exit(2)
-    except BrokenPipeError:
-        os._exit(0)  # the reader of the output (head, less) has closed the pipe
     sys.exit(code)
 
 

@@ -554,3 +554,20 @@ def test_ctrl_c(folder):
         count = int(re.search(r"(\d+) of 100000 runs finished", out)[1])
         assert 0 < count <= done.sum() < 100_000
         assert np.isfinite(tree["ekf"]["anees"].to_numpy()[done]).all()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(), RuntimeError("can't start new thread"), ValueError("Could not allocate"),
+        RuntimeError("Caught an unknown exception!"), ImportError("failed to map segment"),
+    ],
+)  # fmt: skip
+def test_no_memory_is_one_line_however_it_is_said(call, monkeypatch, error):
+    def fail():
+        raise error
+
+    monkeypatch.setattr(cli, "_built", fail)
+    code, out, err = call("list")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(r"estbench: no memory.*; take fewer --runs, .*\n", err)
