@@ -27,8 +27,10 @@ def pool(address: str | None) -> Pool:
         from distributed import Client
     except ImportError:
         raise MissingExtraError("dask.distributed", "dask") from None
-    for name in ("distributed", "tornado", "asyncio"):  # what is lost is said here, in one line
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    # What is lost is said here, in one line. dask gives some of its loggers levels of their own.
+    for name in ("distributed", "tornado", "asyncio", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     client = None
     try:
         asyncio.run(_knock(address))
