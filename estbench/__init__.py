@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from estbench.estimators.protocol import Estimator, FilterHistory, Innovation, Smoother
     from estbench.estimators.ukf import UKF
     from estbench.following import follow
+    from estbench.logs.replay import replay
     from estbench.models.continuous import ContinuousFunctionModel
     from estbench.models.function import FunctionModel
     from estbench.models.linear import LinearModel
@@ -100,6 +101,7 @@ __all__ = [
     "open_results",
     "open_study",
     "posterior_bound",
+    "replay",
     "run",
     "sweep",
     "tune",
@@ -124,6 +126,7 @@ _MODULES = {
     "estimators.protocol": ("Estimator", "FilterHistory", "Innovation", "Smoother"),
     "estimators.ukf": ("UKF",),
     "following": ("follow",),
+    "logs.replay": ("replay",),
     "models.continuous": ("ContinuousFunctionModel",),
     "models.function": ("FunctionModel",),
     "models.linear": ("LinearModel",),

@@ -55,6 +55,10 @@ class StudyError(EstbenchError):
     """A sweep or a tuning has an invalid setting."""
 
 
+class LogError(EstbenchError):
+    """A recorded log cannot be read, or does not fit its scenario."""
+
+
 class StoreError(EstbenchError):
     """Results cannot be written or read."""
 

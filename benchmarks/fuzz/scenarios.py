@@ -16,7 +16,8 @@ from pydantic.fields import FieldInfo
 import estbench
 from benchmarks.fuzz.case import Case
 from estbench.scenario.load import load
-from estbench.scenario.schema import Scenario, Section
+from estbench.scenario.quantities import Section
+from estbench.scenario.schema import Scenario
 
 ROBOTS = {
     "pendulum": ("encoder", "hinge"), "cartpole": ("encoder", "pole"), "quadrotor": ("gyro", "x"),

@@ -20,7 +20,9 @@ from estbench.commands import (
     control,
     design,
     explain,
+    export,
     observability,
+    replay,
     report,
     run,
     sensors,
@@ -69,6 +71,8 @@ def root(
 # In the order of `--help`.
 for command in (
     run,
+    replay,
+    export,
     check,
     sensors,
     control,

@@ -116,7 +116,7 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
     if failed.sum() > MOST_LOST * len(failed):
         verdict = Verdict.SIMULATION_FAILED
     else:
-        verdict = _word(refuted, unshown, len(chosen), lost / max(judged, 1))
+        verdict = word(refuted, unshown, len(chosen), lost / max(judged, 1))
     return Judgement(
         verdict=verdict,
         hypotheses=hypotheses,
@@ -197,7 +197,7 @@ def sizes(refuted: Sequence[Hypothesis]) -> list[Hypothesis]:
     return [h for h in refuted if h.kind in SIZES and not (biased and h.kind is Kind.NEES_ALONG)]
 
 
-def _word(
+def word(
     refuted: Sequence[Hypothesis], unshown: Sequence[Hypothesis], runs: int, lost: float
 ) -> Verdict:
     """What is dangerous comes first: too small a covariance, then a bias, then too large a one."""

@@ -38,6 +38,19 @@ from estbench.simulation.truth import Simulator
 from estbench.spaces.manifold import Manifold
 
 
+@dataclass(frozen=True)
+class Timeline:
+    """The time of a recorded log, in place of that of the simulation.
+
+    Attributes:
+        tick: length of one tick of the instants, s.
+        window: how far exact handling of late readings goes back by default, in ticks.
+    """
+
+    tick: float
+    window: int
+
+
 @dataclass(frozen=True, eq=False)
 class Setup:
     """The objects that all runs share; its methods build those of one batch.
@@ -55,6 +68,7 @@ class Setup:
         notices: assumptions where the scenario says nothing.
         reference: the experiment of the estimator whose estimate the controller sees, with the
             label `estbench.scenario.reference.LABEL`; None where it sees something else.
+        timeline: of a log; None where the instants count physics steps.
     """
 
     scenario: Scenario
@@ -69,6 +83,7 @@ class Setup:
     cov: Float[Array, "n n"]
     notices: tuple[str, ...]
     reference: "Setup | None" = None
+    timeline: Timeline | None = None
 
     @property
     def space(self) -> Manifold:
@@ -101,6 +116,7 @@ class Setup:
             Differences(side.section.differences, side.section.step),
             nthread,
             self.plant.u0,
+            split=self.timeline is not None,
         )
 
     @property
@@ -207,9 +223,9 @@ class Setup:
 
     def delays(self, label: str) -> Delays:
         """How the estimator of that label handles late readings."""
-        section, timestep = self.believed[label].section, float(self.plant.model.opt.timestep)
+        section = self.believed[label].section
         believed = {
-            name: round(channel.latency / timestep)
+            name: round(channel.latency / self._tick)
             for name, channel in section.channels.items()
             if channel.latency is not None
         }
@@ -221,10 +237,17 @@ class Setup:
         """The longest time that exact delay handling goes back by `[filter]`, in physics steps."""
         return self._window(self.scenario.filter)
 
+    @property
+    def _tick(self) -> float:
+        """Length of one tick, s."""
+        return float(self.plant.model.opt.timestep) if self.timeline is None else self.timeline.tick
+
     def _window(self, section: FilterSection) -> int:
-        timestep = float(self.plant.model.opt.timestep)
         if section.window is not None:
-            return int(section.window / timestep + 1e-9)
+            return int(section.window / self._tick + 1e-9)
+        if self.timeline is not None:
+            return self.timeline.window
+        timestep = self._tick
         late = [c.timing.longest_delay for c in self.channels]
         late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
         # A reading is fused at the first instant after its arrival, up to one interval later.

@@ -28,7 +28,11 @@ class Source(Protocol):
     """Where truth, control and measurements come from."""
 
     events: Sequence[Event]
-    x0: Float[Array, "run nx"]
+
+    @property
+    def x0(self) -> Float[Array, "run nx"] | None:
+        """True states at the start; None where they are not known."""
+        ...
 
     def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
         """The control, held up to the end of the k-th event."""
@@ -36,8 +40,8 @@ class Source(Protocol):
 
     def advance(
         self, k: int, u: Float[Array, "run nu"]
-    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
-        """True state at the end of the k-th event and what arrives then."""
+    ) -> tuple[Float[Array, "run nx"] | None, list[Delivery]]:
+        """True state at the end of the k-th event, None if it is not known, and what arrives."""
         ...
 
 
@@ -109,7 +113,7 @@ def run_filter(
                     f"expected {len(recorder.truth)}, one per time and one for the start"
                 )
             for k, belief in enumerate(smoothed):
-                recorder.add(k, recorder.truth[k], belief)
+                recorder.add(k, recorder.truth[k] if recorder.judged else None, belief)
     return recorder.traces(innovations.traces() | {"late": fusion.late, "cpu_time": clock.cpu_time})
 
 

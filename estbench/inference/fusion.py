@@ -223,6 +223,8 @@ class Fusion:
         """The belief of some rows at the end of an event; of those that do not go on, as it was."""
         instant = event.instant
         start, dt = instant.start, instant.end - instant.start
+        if not dt:  # readings of the start of a log
+            return belief
         if event.rows is None:
             return self._estimator.predict(belief, u[rows], start, dt)
         going = event.rows[rows]

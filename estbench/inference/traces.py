@@ -21,7 +21,7 @@ class Traces:
     """One estimator over some runs, time-major; index 0 is the prior at t = 0.
 
     Attributes:
-        truth: x.
+        truth: x; NaN, as all that is compared with it, where it is not known.
         mean: x̂.
         error: x ⊖ x̂.
         std: sqrt of P's diagonal; 0 where the coordinate is known exactly.
@@ -93,11 +93,12 @@ class Recorder:
         self._cov = np.empty((count + 1, runs, n, n)) if keep_cov else None
         self._fault, self._fault_step = np.zeros(runs, np.uint8), np.full(runs, -1)
         self._answers = Answers(estimator)
+        self.judged = True  # whether the truth is known
 
     def add(
         self,
         index: int,
-        x: Float[Array, "run nx"],
+        x: Float[Array, "run nx"] | None,
         belief: Any,
         fault: UInt[Faults, " run"] | None = None,
     ) -> None:
@@ -105,11 +106,13 @@ class Recorder:
 
         Args:
             index: of the time.
-            x: the true states.
+            x: the true states; None where they are not known, at all times then.
             belief: of all runs.
             fault: of each run, where the estimator's innovations have shown one.
         """
         m, P = self._answers.moments(belief, *self._shape)
+        self.judged = x is not None
+        x = m if x is None else x
         self.truth[index], self.mean[index] = x, m
         self._error[index] = self._space.minus(x, m)
         # A coordinate that was large has the rounding errors of that time, though it is small now.
@@ -152,6 +155,9 @@ class Recorder:
 
     def traces(self, fused: Mapping[str, Any]) -> Traces:
         """What was recorded, with what the event loop counted."""
+        if not self.judged:  # nothing is known of the errors
+            for unknown in (self.truth, self._error, self._nees, self._along):
+                unknown[:] = np.nan
         return Traces(
             truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
             rank=self._rank, along=self._along, fault=self._fault, fault_step=self._fault_step,

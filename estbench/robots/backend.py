@@ -43,6 +43,7 @@ class Backend(Protocol):
         t: float | Array,
         nstep: int,
         force: Float[Array, "... nv"] | None = None,
+        timestep: float | None = None,
     ) -> Float[Array, "*lead nx"]:
         """States after `nstep` physics steps of the model's timestep.
 
@@ -54,6 +55,7 @@ class Backend(Protocol):
             nstep: number of physics steps, at least 1.
             force: generalized forces, N or N m, broadcast over the leading axes and constant over
                 the steps; None for none.
+            timestep: length of each physics step, s; None for that of the model.
         """
         ...
 

@@ -85,6 +85,7 @@ class BatchBackend:
         self._reduced: dict[tuple[int, flags.Use], mujoco.MjModel] = {}
         self._numbers: dict[tuple[int, flags.Use], Array] = {}
         self._given = False  # whether all inputs were ever given
+        self._paced: dict[int, float] = {}  # count of rows -> timestep, where that was ever changed
 
     def batch(self, count: int, use: flags.Use = "step") -> Batch:
         """The batch of `count` rows for a use; its applied forces are zero."""
@@ -122,6 +123,7 @@ class BatchBackend:
         """See `Backend.vary`."""
         if not self._varied:  # the parameter may enable a constraint
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
+            self._paced.clear()
         self._varied[count, field, repr(index)] = index, np.array(values)
         for use in self._models:
             batch = self.batch(count, use)
@@ -144,9 +146,12 @@ class BatchBackend:
         t: float | Array,
         nstep: int,
         force: Float[Array, "... nv"] | None = None,
+        timestep: float | None = None,
     ) -> Float[Array, "*lead nx"]:
         """See `Backend.step`."""
         batch, rows, bad = self._load(x, u, t, "step")
+        if timestep is not None or self._paced:
+            self._pace(batch, timestep or self.model.opt.timestep)
         if force is not None:
             rows[..., self._force] += force
         bad = self._run(batch, bad, nstep, 0)
@@ -233,6 +238,19 @@ class BatchBackend:
         elif self.model.nu:
             rows[..., self._ctrl] = u
         return batch, rows, bad
+
+    def _pace(self, batch: Batch, timestep: float) -> None:
+        """Let the physics steps of a batch have this length.
+
+        Raises:
+            ScenarioError: its rows run on models of others.
+        """
+        if self._paced.get(batch.nsim, self.model.opt.timestep) == timestep:
+            return
+        if self._others:
+            raise ScenarioError("a robot whose models change cannot have steps of other lengths")
+        batch.expand("opt.timestep")[:] = timestep
+        self._paced[batch.nsim] = timestep
 
     def _give(self, batch: Batch, rows: Array, u: Array, use: flags.Use) -> None:
         """Write all inputs, and give each row its model; see `given`."""

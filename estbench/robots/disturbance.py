@@ -156,13 +156,14 @@ class Disturbance:
         t: float,
         dt: float,
         nstep: int,
+        timestep: float | None = None,
     ) -> Float[Array, "... n n"]:
         """Q over dt at x; one, or one per run."""
         if self.kind == "additive":
             return self._density(t) * dt
         if not self.rank:
             return np.zeros((space.n, space.n))
-        response = self.response(backend, space, x, u, t, dt, nstep)
+        response = self.response(backend, space, x, u, t, dt, nstep, timestep)
         return response.mT @ response
 
     def response(
@@ -174,10 +175,11 @@ class Disturbance:
         t: float,
         dt: float,
         nstep: int,
+        timestep: float | None = None,
     ) -> Float[Array, "run rank n"]:
         """Γᵀ: the change of the end state under each column of `held`."""
         points, push, force = self._pushed(x, u, self.held(t, dt))
-        ends = backend.step(points, push, t, nstep, force)
+        ends = backend.step(points, push, t, nstep, force, timestep)
         return space.minus(ends[:, 1:], ends[:, :1])
 
     def held(self, t: float, dt: float) -> Float[Array, "k rank"]:

@@ -1,5 +1,6 @@
 """A MuJoCo model as a state-space model: steps, flow, sensors and Jacobians, batched over runs."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,8 @@ from estbench.spaces.manifold import Manifold
 __all__ = ["MujocoModel", "SensorChannel", "needed_stage", "sensor_columns", "whole_steps"]
 
 Scale = Callable[[float], float | Array]
+_REMEMBERED = 10_000
+"""Lengths of intervals whose steps are remembered."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,8 @@ class MujocoModel:
         nthread: number of threads of the backend.
         u0: nominal control, about which a `KF` linearizes; default zeros.
         engine: the backend; default one of the model.
+        split: whether dt may be any length: it is divided into equal physics steps, each at most as
+            long as the timestep.
     """
 
     def __init__(
@@ -81,6 +86,7 @@ class MujocoModel:
         nthread: int = 1,
         u0: Float[Array, " nu"] | None = None,
         engine: backend.Backend | None = None,
+        split: bool = False,
     ):
         self.mjmodel = model
         self.u0 = np.zeros(model.nu) if u0 is None else u0
@@ -93,6 +99,7 @@ class MujocoModel:
         self._range, self._inputs = ControlRange.of(model), given.size(model)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
         self._steps: dict[float, int] = {}
+        self._split, self._substeps = split, dict[float, float | None]()
 
     @property
     def space(self) -> Manifold:
@@ -112,7 +119,7 @@ class MujocoModel:
         self, x: Float[Array, "*lead nx"], u: Float[Array, "... nu"], t: float, dt: float
     ) -> Float[Array, "*lead nx"]:
         """The state after dt/timestep physics steps; NaN where MuJoCo cannot compute it."""
-        return self._backend.step(x, self._clamp(u), t, self.steps(dt))
+        return self._backend.step(x, self._clamp(u), t, self.steps(dt), None, self.substep(dt))
 
     def transition_jacobian(
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
@@ -128,7 +135,9 @@ class MujocoModel:
         """Q of the disturbance over dt."""
         if self.disturbance.kind != "additive":
             u = self._clamp(u)
-        return self.disturbance.covariance(self._backend, self._space, x, u, t, dt, self.steps(dt))
+        return self.disturbance.covariance(
+            self._backend, self._space, x, u, t, dt, self.steps(dt), self.substep(dt)
+        )
 
     def noise_response(
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
@@ -140,7 +149,7 @@ class MujocoModel:
         if not noise.rank:
             return np.zeros((self._space.n, 0))
         return noise.response(
-            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt), self.substep(dt)
         ).mT
 
     def flow(
@@ -219,7 +228,7 @@ class MujocoModel:
         """Γ, the change of the end state, and D, the disturbance itself, for unit noises."""
         noise = self.disturbance
         response = noise.response(
-            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt)
+            self._backend, self._space, x, self._clamp(u), t, dt, self.steps(dt), self.substep(dt)
         )
         return response.mT, noise.held(t, dt)[noise.places]
 
@@ -280,8 +289,19 @@ class MujocoModel:
             ScenarioError: dt is not a positive multiple of the timestep.
         """
         if dt not in self._steps:
-            self._steps[dt] = whole_steps(dt, self.mjmodel.opt.timestep, "dt")
+            timestep = float(self.mjmodel.opt.timestep)
+            if self._split and dt > 0:
+                if len(self._steps) >= _REMEMBERED:  # irregular intervals are all different
+                    self._steps.clear()
+                    self._substeps.clear()
+                self._steps[dt], self._substeps[dt] = equal_steps(dt, timestep)
+            else:
+                self._steps[dt] = whole_steps(dt, timestep, "dt")
         return self._steps[dt]
+
+    def substep(self, dt: float) -> float | None:
+        """Length of the physics steps in dt, s; None for the timestep of the robot."""
+        return self._substeps.get(dt) if self._split else None
 
     def follow(self, number: int, model: mujoco.MjModel | None) -> None:
         """See `Backend.follow`."""
@@ -324,6 +344,20 @@ class MujocoModel:
                 scales.append((block, channel.scale))
             start = block.stop
         return _Selection(plan, R, tuple(scales))
+
+
+def equal_steps(dt: float, timestep: float) -> tuple[int, float | None]:
+    """The number and the length of the physics steps in any dt > 0.
+
+    The least number of equal steps that are at most as long as the timestep. The length is None
+    where it is the timestep itself, but for rounding.
+    """
+    ratio = dt / timestep
+    near = round(ratio)
+    if near >= 1 and abs(ratio - near) <= 1e-6 * ratio:
+        return near, None
+    steps = math.ceil(ratio)
+    return steps, dt / steps
 
 
 def whole_steps(dt: float, timestep: float, what: str) -> int:

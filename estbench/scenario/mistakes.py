@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from estbench.errors import did_you_mean
 from estbench.robots import parameters
-from estbench.scenario.schema import Section
+from estbench.scenario.quantities import Section
 
 _OTHER = {"string_type", "list_type", "float_type", "int_type", "dict_type"}
 _BY_OBJECT = ("set", "draw")

@@ -1,11 +1,14 @@
+import copy
 import os
 import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import estbench
-from estbench.robots import backend
+from estbench.robots import backend, mjcf
+from estbench.robots.model import equal_steps
 from tests.helpers import random_states, zoo_model
 
 ROOT = Path(estbench.__file__).parent
@@ -42,3 +45,22 @@ def test_the_calls_do_not_depend_on_the_number_of_threads_or_of_rows():
         np.testing.assert_array_equal(call(two, x, u), whole)
         np.testing.assert_array_equal(call(one, x[2:3], u[2:3]), whole[2:3])
         np.testing.assert_array_equal(call(one, x[:, None], u), whole[:, None])
+
+
+@pytest.mark.parametrize("name", ["pendulum", "quadruped"])
+def test_steps_of_any_length_are_those_of_a_model_with_that_timestep(name):
+    model = mjcf.compile_model(mjcf.read(f"estbench:assets/{name}/{name}.xml"))
+    other = copy.copy(model)
+    other.opt.timestep = 0.7 * model.opt.timestep
+    x = np.repeat(np.concatenate([mjcf.keyframe(model, None)[0]])[None], 3, axis=0)
+    u = np.full((3, model.nu), 0.1)
+    engine = backend.create(model)
+    usual = engine.step(x, u, 0.0, 4)
+    paced = engine.step(x, u, 0.0, 4, None, other.opt.timestep)
+    assert np.array_equal(paced, backend.create(other).step(x, u, 0.0, 4))
+    assert not np.array_equal(paced, usual)
+    assert np.array_equal(engine.step(x, u, 0.0, 4), usual)  # it goes back
+    assert equal_steps(4 * model.opt.timestep, model.opt.timestep) == (4, None)
+    steps, length = equal_steps(3.3, 1.0)
+    assert (steps, length) == (4, 3.3 / 4)
+    assert equal_steps(0.2, 1.0) == (1, 0.2)

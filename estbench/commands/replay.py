@@ -1,0 +1,56 @@
+"""The command `replay`; what it needs is imported when it runs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from estbench.commands.shared import Estimators, Json, Overrides, console
+from estbench.errors import LogError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command(
+        epilog="Example: estbench replay real_pendulum swing_up_1.csv -e ekf --hold-out speed"
+    )(replay)
+
+
+def replay(
+    scenario: Annotated[
+        str, typer.Argument(help="as of run, with a section [log]; with --inspect a log")
+    ],
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="the files of one log: CSV, TSV or npz")
+    ] = None,
+    estimator: Estimators = None,
+    hold_out: Annotated[
+        list[str] | None,
+        typer.Option(help="channel that is predicted and not fused; repeatable"),
+    ] = None,
+    overrides: Overrides = None,
+    inspect: Annotated[
+        bool, typer.Option("--inspect", help="show columns, rates and gaps of logs instead")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Run estimators on a recorded log, and say what their innovations think of them."""
+    if inspect:
+        from estbench.logs import inspect as inspection
+
+        console().print(inspection.render([scenario, *(logs or ())]))
+        return
+    if not logs:
+        raise LogError("no log is named; give the files of one after the scenario")
+    from estbench.logs import replay as replaying
+    from estbench.logs import results
+
+    found = replaying.replay(
+        scenario, logs, estimator, hold_out=hold_out or (), overrides=overrides or ()
+    )
+    if as_json:
+        print(results.to_json(found))
+    else:
+        console().print(results.render(found))
+    if any(r.failure for r in found.replayed):
+        raise typer.Exit(1)

@@ -1,0 +1,1 @@
+"""Recorded logs of robots: their columns, clocks and readings, and estimators on them."""
