@@ -56,10 +56,11 @@ class VariedBackend:
         t: float | Array,
         nstep: int,
         force: Float[Array, "... nv"] | None = None,
+        timestep: float | None = None,
     ) -> Float[Array, "*lead nx"]:
         """See `Backend.step`."""
         self._prepare(x)
-        return self._inner.step(x, u, t, nstep, force)
+        return self._inner.step(x, u, t, nstep, force, timestep)
 
     def read(
         self,
