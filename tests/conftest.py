@@ -1,4 +1,10 @@
 import os
+import signal
+
+# A shell starts what it runs in the background with Ctrl-C ignored, and so would the commands be
+# that the tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Threads of BLAS would compete with the tests that run beside this one.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
