@@ -40,7 +40,7 @@ def test_what_it_prints(monkeypatch, capsys):
         (("pendulum", "--window", "0"), "duration"),
         ((*SHORT, "--set", "initial.std=0.0"), "there is nothing to observe"),
         ((*SHORT, "--format", "xml"), "no format 'xml'"),
-        (("pendulums",), "no scenario 'pendulums' (did you mean 'pendulum'?)"),
+        (("pendulums",), "no scenario 'pendulums' (did you mean 'pendulum'"),
     ],
 )
 def test_bad_input_is_one_line(words, message, monkeypatch, capsys):
