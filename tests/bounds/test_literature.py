@@ -1,6 +1,9 @@
-"""The bound against closed forms of the literature."""
+"""The bound against closed forms of the literature, and against another library's."""
+
+from datetime import datetime, timedelta
 
 import numpy as np
+import pytest
 
 from estbench.bounds.expectation import posterior_bound
 from estbench.models.function import FunctionModel
@@ -108,3 +111,66 @@ def test_a_falling_body_seen_from_aside():
         along = course[k].imag.T / 1e-30
         expected = along @ np.linalg.inv(J) @ along.T
         np.testing.assert_allclose(found[k].diagonal(), expected.diagonal(), rtol=1e-4)
+
+
+def test_stone_soups_bound_of_a_target_seen_by_two_radars():
+    """`PCRBMetric` of Stone Soup along one course: Tichavský's recursion by matrix inverses.
+
+    Nearly constant velocity with a regular Q, range and bearing from two places.
+    """
+    pytest.importorskip("stonesoup")
+    from stonesoup.metricgenerator.pcrbmetric import PCRBMetric
+    from stonesoup.models.measurement.nonlinear import CartesianToBearingRange
+    from stonesoup.models.transition.linear import (
+        CombinedLinearGaussianTransitionModel,
+        ConstantVelocity,
+    )
+    from stonesoup.types.array import StateVector
+    from stonesoup.types.groundtruth import GroundTruthPath, GroundTruthState
+    from stonesoup.types.state import GaussianState
+
+    density, R = 0.05, np.diag([0.02**2, 0.5**2])
+    P0, steps = np.diag([5.0, 10.0, 5.0, 10.0]), 20
+    places = np.array([[-10.0, 10.0], [25.0, -4.0]])
+    x = np.stack([1.0 + 1.2 * np.arange(21), np.full(21, 1.2), 2.0 + 0.7 * np.arange(21),
+                  np.full(21, 0.7)], axis=1)  # fmt: skip
+
+    class Columns:
+        """The places; a column of Stone Soup's own array is a vector, which its sensors refuse."""
+
+        shape = places.T.shape
+
+        def __getitem__(self, key):
+            return StateVector(places[key[1]])
+
+    began = datetime(2000, 1, 1)
+    course = GroundTruthPath(
+        [GroundTruthState(StateVector(xk), began + timedelta(seconds=k)) for k, xk in enumerate(x)]
+    )
+    theirs = PCRBMetric._compute_pcrb_single(
+        GaussianState(StateVector(x[0]), P0),
+        CombinedLinearGaussianTransitionModel([ConstantVelocity(density)] * 2),
+        CartesianToBearingRange(ndim_state=4, mapping=(0, 2), noise_covar=R),
+        course,
+        Columns(),
+        1.0,
+        (0, 2),
+        None,
+    )
+
+    def h(x, u, t):
+        away = x[..., None, [0, 2]] - places
+        bearing, distance = (
+            np.arctan2(away[..., 1], away[..., 0]),
+            np.hypot(*np.moveaxis(away, -1, 0)),
+        )
+        return np.stack([bearing, distance], axis=-1).reshape(*x.shape[:-1], 4)
+
+    A, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), density * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
+    F = np.kron(np.eye(2), A)
+    model = FunctionModel(
+        lambda x, u, t, dt: x @ F.T, h, np.kron(np.eye(2), Q), np.kron(np.eye(2), R)
+    )
+    found = posterior_bound(model, x[0], P0, np.arange(steps + 1.0), x[:, None])
+    # Both take the derivatives of the bearing by differences, which agree to some 1e-7.
+    np.testing.assert_allclose(found.cov, theirs["inverse_j"], rtol=1e-6, atol=1e-9)
