@@ -21,6 +21,7 @@ from estbench.commands import (
     design,
     explain,
     export,
+    new,
     observability,
     replay,
     report,
@@ -70,6 +71,7 @@ def root(
 
 # In the order of `--help`.
 for command in (
+    new,
     run,
     replay,
     export,

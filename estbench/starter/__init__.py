@@ -1,0 +1,1 @@
+"""A first scenario for a robot of which only the MJCF is known, as a commented file."""
