@@ -60,6 +60,21 @@ def tune(
     held_out: Annotated[
         int | None, typer.Option(min=0, help="runs that prove the result; default as many")
     ] = None,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE[,FILE]",
+            help="recorded log to tune on instead of simulated runs; repeatable",
+        ),
+    ] = None,
+    held_out_log: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE[,FILE]", help="log that proves the result; repeatable"),
+    ] = None,
+    hold_out: Annotated[
+        list[str] | None,
+        typer.Option(help="channel of the logs that is predicted and not fused; repeatable"),
+    ] = None,
     seed: Seed = None,
     duration: Duration = None,
     overrides: Overrides = None,
@@ -87,14 +102,16 @@ def tune(
         paper.check_format(plot)
         check_file(plot)
     resolved = resolve(scenario, [estimator], runs, seed, duration, overrides or ())
+    given = {"runs": runs, "duration": duration} if log else {}  # refused there
     folder = out if out is not None or resume else store.default_folder(f"{resolved.name}-tuned")
     priors = dict(parameters.parse_prior(text) for text in prior or ())
     tuned = tuning.tune(
         resolved, next(iter(resolved.estimators)), free or (), objective=objective,
         coordinates=dict(map(_weight, coordinate or ())),
         priors={key: (p.centre, p.spread) for key, p in priors.items()}, method=method,
-        iterations=iterations, held_out=held_out, out=folder, resume=resume, workers=workers,
-        progress=_progress(),
+        iterations=iterations, held_out=held_out, **given, logs=list(map(_files, log or ())),
+        held_out_logs=list(map(_files, held_out_log or ())), hold_out=hold_out or (), out=folder,
+        resume=resume, workers=workers, progress=_progress(),
     )  # fmt: skip
     if as_json:
         print(tuned.to_json())
@@ -106,6 +123,11 @@ def tune(
     if tuned.interrupted:
         say(f"go on with --out {folder} --resume")
         raise typer.Exit(130)
+
+
+def _files(text: Path) -> list[str]:
+    """The files of one log."""
+    return str(text).split(",")
 
 
 def _weight(text: str) -> tuple[str, float]:
@@ -130,7 +152,7 @@ def _progress() -> Callable[[int, float], None]:
 
     def line(candidates: int, loss: float) -> None:
         nonlocal last
-        text = f"{candidates} candidates, least loss per run {loss:.6g}"
+        text = f"{candidates} candidates, least loss {loss:.6g}"
         if sys.stderr.isatty():
             print(f"\r{text}\x1b[K", end="", file=sys.stderr, flush=True)
         elif time.monotonic() - last > 10:

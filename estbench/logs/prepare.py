@@ -9,7 +9,9 @@ from estbench.experiment.prepared import Setup, Timeline
 from estbench.experiment.setup import build
 from estbench.logs import clock, files
 from estbench.logs.source import Log, mapped
+from estbench.logs.table import LogTable
 from estbench.robots.layout import control_names
+from estbench.scenario.log import LogSection
 from estbench.scenario.schema import ControlSection, Scenario
 
 
@@ -17,8 +19,6 @@ def prepare(
     scenario: Scenario, logs: Sequence[str | Path], held_out: Sequence[str] = ()
 ) -> tuple[Setup, Log]:
     """The experiment and the log that it is run on.
-
-    Channels that the log does not have are left out, and what the simulation alone needs.
 
     Args:
         scenario: with its section `[log]`.
@@ -29,6 +29,25 @@ def prepare(
         LogError: the scenario has no `[log]`, or the log does not fit it.
         EstbenchError: as `experiment.setup.build`.
     """
+    section = _section(scenario, held_out)
+    tables = files.read_all(logs)
+    return laid_on(build(_on_a_log(scenario, section)), tables)
+
+
+def built(scenario: Scenario, held_out: Sequence[str] = ()) -> Setup:
+    """The experiment of a scenario with a section `[log]`, before a log is mapped to it.
+
+    Channels that the log does not have are left out, and what the simulation alone needs.
+
+    Raises:
+        LogError: the scenario has no `[log]`, or none of a channel that is held out.
+        EstbenchError: as `experiment.setup.build`.
+    """
+    return build(_on_a_log(scenario, _section(scenario, held_out)))
+
+
+def _section(scenario: Scenario, held_out: Sequence[str]) -> LogSection:
+    """The section `[log]`, checked."""
     section = scenario.log
     if section is None:
         raise LogError(
@@ -45,12 +64,29 @@ def prepare(
             )
     if set(held_out) == set(section.channels):
         raise LogError("--hold-out names all channels of [log]; leave one to be fused")
-    tables = files.read_all(logs)
+    return section
+
+
+def _on_a_log(scenario: Scenario, section: LogSection) -> Scenario:
     changes = {"sensors": list(section.channels), "control": ControlSection(), "bound": False}
-    prepared = build(scenario.model_copy(update=changes))
+    return scenario.model_copy(update=changes)
+
+
+def laid_on(prepared: Setup, tables: Sequence[LogTable]) -> tuple[Setup, Log]:
+    """An experiment on the files of a log, by its section `[log]`.
+
+    Raises:
+        LogError: the log does not fit the robot.
+    """
+    section = prepared.scenario.log
+    assert section is not None
     log = mapped(
         tables, section, prepared.channel_spaces, control_names(prepared.plant.model),
-        prepared.plant.u0, scenario.filter.window,
+        prepared.plant.u0, prepared.scenario.filter.window,
     )  # fmt: skip
-    timeline = Timeline(clock.TICK, log.lateness)
-    return replace(prepared, instants=log.instants, timeline=timeline), log
+    return on(prepared, log), log
+
+
+def on(prepared: Setup, log: Log) -> Setup:
+    """An experiment at the instants of a log."""
+    return replace(prepared, instants=log.instants, timeline=Timeline(clock.TICK, log.lateness))

@@ -103,12 +103,27 @@ def replay(
     """
     resolved = resolve(scenario, estimators, overrides=overrides)
     files = [logs] if isinstance(logs, str | Path) else list(logs)
-    prepared, log = prepare(resolved, files, hold_out)
-    fused = tuple(name for name in prepared.channel_spaces if name not in hold_out)
+    return replay_on(*prepare(resolved, files, hold_out), hold_out)
+
+
+def replay_on(prepared: Setup, log: Log, hold_out: Sequence[str] = ()) -> Replay:
+    """Run the estimators of an experiment on a log that is mapped to it.
+
+    Args:
+        prepared: with the instants of the log.
+        log: mapped.
+        hold_out: channels that are predicted and not fused.
+    """
+    fused = fused_of(prepared, hold_out)
     labels = prepared.scenario.estimators
     return Replay(
         prepared, log, fused, tuple(_replayed(prepared, log, fused, label) for label in labels)
     )
+
+
+def fused_of(prepared: Setup, hold_out: Sequence[str]) -> tuple[str, ...]:
+    """The channels that the estimators are given."""
+    return tuple(name for name in prepared.channel_spaces if name not in hold_out)
 
 
 def _replayed(prepared: Setup, log: Log, fused: Sequence[str], label: str) -> Replayed:

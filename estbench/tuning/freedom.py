@@ -44,7 +44,7 @@ def parameters(prepared: Setup, label: str, free: Sequence[Free]) -> tuple[Param
 
 def _parameter(prepared: Setup, label: str, free: Free) -> Parameter:
     own = _own(prepared, label, free.key)
-    names = ("estimators", label, *own)
+    names = tuple(own) if own[0] == "log" else ("estimators", label, *own)
     if free.choices:
         return Parameter(names, free.key, _value(prepared, label, own), kind="choice",
                          choices=free.choices)  # fmt: skip
@@ -54,9 +54,9 @@ def _parameter(prepared: Setup, label: str, free: Free) -> Parameter:
         hint = "name it in the scenario first" if value is None else "give its choices, KEY=A,B"
         raise StudyError(f"'{free.key}' is {shown}, which is no number to tune; {hint}")
     kind: Kind = "smooth"
-    if own[-1] in ("latency", "window"):
+    if own[0] != "log" and own[-1] in ("latency", "window"):
         kind = "stepped"
-    elif own[0] not in ("filter", "start") and isinstance(value, int | np.integer):
+    elif own[0] not in ("filter", "start", "log") and isinstance(value, int | np.integer):
         kind = "whole"
     return _ranged(free, names, own, kind, value if kind == "whole" else float(value))
 
@@ -101,6 +101,8 @@ def _own(prepared: Setup, label: str, key: str) -> Sequence[str]:
             raise StudyError(f"'{key}' is not of '{label}', the estimator that is tuned")
         names = list(names)[2:]
     first, *rest = names
+    if first == "log" and prepared.timeline is not None:
+        return _of_log(key, names)
     sections = type(prepared.scenario).model_fields
     if first in sections and first not in ("filter", "start"):
         raise StudyError(
@@ -112,6 +114,22 @@ def _own(prepared: Setup, label: str, key: str) -> Sequence[str]:
     return names
 
 
+def _of_log(key: str, names: Sequence[str]) -> Sequence[str]:
+    """The parts of a key of `[log]`, of a number that does not change how likely a reading is.
+
+    Raises:
+        StudyError: it is another key.
+    """
+    known = [("log", "delay"), ("log", "channels", "offset"), ("log", "channels", "latency"),
+             ("log", "controls", "offset"), ("log", "controls", "scale")]  # fmt: skip
+    if (*names[:2], *names[3:]) not in known and tuple(names) not in known:
+        raise StudyError(
+            f"'{key}' is not free to vary; of [log] these are: delay, the offset and latency of "
+            "channels.NAME, the offset and scale of controls.NAME"
+        )
+    return names
+
+
 def _value(prepared: Setup, label: str, own: Sequence[str]) -> Any:
     """The value before the tuning; None where there is none.
 
@@ -119,6 +137,8 @@ def _value(prepared: Setup, label: str, own: Sequence[str]) -> Any:
         StudyError: the key names what does not exist.
     """
     side = prepared.believed[label]
+    if own[0] == "log":
+        return keys.value_of(prepared.scenario.model_dump(), tuple(own))
     if own[0] == "start":
         return _of_table(prepared.start(label).model_dump(), own[1:], 1.0, prepared.space.names)
     if own[0] != "filter":

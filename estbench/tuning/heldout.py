@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from estbench.consistency import statistics
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import Interval, mean_interval, student_quantile
-from estbench.consistency.statistics import Summary
+from estbench.consistency.statistics import RMSE, Summary
 from estbench.consistency.summary import summarize
 from estbench.errors import EstimatorError, Interrupted
 from estbench.experiment.setup import build, variant
@@ -19,6 +21,9 @@ from estbench.study import compute as computing
 from estbench.study import keys
 from estbench.study.compute import Outcomes
 from estbench.study.evaluation import Outcome
+from estbench.tables.cells import cell, plain, value_of
+from estbench.tables.columns import Column, Table
+from estbench.tables.quantity import number, quantity
 from estbench.tuning.parameters import Parameter
 
 
@@ -49,6 +54,66 @@ class HeldOut:
     def overfitted(self) -> bool:
         """Whether the held-out likelihood falls short of the tuning's by more than its interval."""
         return self.shortfall.low > 0
+
+    def head(self, level: float) -> str:
+        """See `result.Proof`."""
+        return (
+            f"held-out: {self.runs} runs, seed {self.seed}; change of the log-likelihood per run "
+            f"and ratios of RMSE are paired, with the {level:.0%} interval across runs"
+        )
+
+    def tables(self) -> list[Table]:
+        """The statistics of runs, then RMSE per coordinate."""
+        pair = (("before", self.before), ("after", self.after))
+        columns: list[tuple[Column, ...]] = [
+            (Column("verdict", tuple(str(s.verdict) for _, s in pair), "left"),)
+        ]
+        for s in statistics.shown("run"):
+            if s.form != "number":
+                cells = tuple(cell(s, value_of(x, s), s.places["run"]) for _, x in pair)
+                columns.append((Column(s.heading_in("run"), cells, narrow=s.narrow),))
+        columns.append((Column("log-lik. change", ("", quantity(self.likelihood))),))
+        first = Table((Column("", tuple(name for name, _ in pair), "left"),), tuple(columns))
+        rmse = [tuple(number(i.value) for i in value_of(x, RMSE)) for _, x in pair]
+        second = Table(
+            (Column("coordinate", self.names, "left"), Column("unit", self.units, "left")),
+            (
+                (Column("RMSE before", rmse[0]),), (Column("after", rmse[1]),),
+                (Column("after/before", tuple(quantity(i) for i in self.rmse)),),
+            ),
+        )  # fmt: skip
+        return [first, second]
+
+    def words(self) -> list[str]:
+        """Over-fitting."""
+        if not self.overfitted:
+            return []
+        return [
+            f"over-fitted: the log-likelihood of held-out runs is {quantity(self.shortfall)} "
+            "per run below that of the tuning runs; tune on more runs, or free less"
+        ]
+
+    def lines(self) -> list[str]:
+        """See `result.Proof`."""
+        return [
+            f"Held-out ({self.runs} runs, seed {self.seed}): {self.before.verdict} -> "
+            f"{self.after.verdict}, NEES/n {quantity(self.before.anees)} -> "
+            f"{quantity(self.after.anees)}, log-likelihood per run "
+            f"{quantity(self.likelihood)} higher."
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """See `result.Proof`."""
+        return {
+            "seed": self.seed, "runs": self.runs,
+            "log_likelihood_difference": plain(self.likelihood),
+            "rmse_ratio": {n: plain(i) for n, i in zip(self.names, self.rmse)},
+            "shortfall": plain(self.shortfall), "overfitted": self.overfitted,
+            "verdict": {"before": str(self.before.verdict), "after": str(self.after.verdict)},
+            "anees_over_n": {
+                "before": plain(self.before.anees), "after": plain(self.after.anees),
+            },
+        }  # fmt: skip
 
 
 def compare(

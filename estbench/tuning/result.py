@@ -4,26 +4,47 @@ import json
 import textwrap
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from rich.console import Group
 from rich.text import Text
 
-from estbench.consistency import statistics
 from estbench.consistency.intervals import Interval
-from estbench.consistency.statistics import RMSE
 from estbench.scenario.schema import Scenario
 from estbench.study import keys
 from estbench.tables import writers
-from estbench.tables.cells import cell, plain, value_of
+from estbench.tables.cells import plain
 from estbench.tables.columns import Column, Table
 from estbench.tables.quantity import number, quantity
-from estbench.tuning.heldout import HeldOut
 from estbench.tuning.parameters import Parameter
 from estbench.tuning.problem import Step
 from estbench.tuning.uncertainty import Profile, Uncertainty, in_words, interval
 
 WIDTH = 100
+
+
+class Proof(Protocol):
+    """The filter before and after on what the tuning has not seen."""
+
+    def head(self, level: float) -> str:
+        """What it is, and what its tables compare."""
+        ...
+
+    def tables(self) -> list[Table]:
+        """Before and after."""
+        ...
+
+    def words(self) -> list[str]:
+        """What the reader should know."""
+        ...
+
+    def lines(self) -> list[str]:
+        """For the header of the tuned scenario."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers for JSON."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +60,16 @@ class Tuned:
         values: their values after.
         point: their coordinates in the search.
         loss: before and after, mean over the tuning runs.
-        runs, seed: of the tuning.
+        runs, seed: of the tuning; blocks of time in place of runs where it was on logs.
         batches, candidates: how many sets of candidates were asked for, and candidates.
         trace: of the search.
         uncertainty: from the curvature; None where there is none (choices, an interrupted search).
         profiles: of each parameter, likewise.
-        held_out: before and after on other runs; None if not asked for, or interrupted.
+        held_out: before and after on other runs or logs; None if not asked for, or interrupted.
         interrupted: whether Ctrl-C ended the search.
         refused: candidates that failed -> how many, by reason.
         folder: of what was written, or None.
+        logs: names of the recorded logs that it was tuned on; none where runs were simulated.
     """
 
     scenario: Scenario
@@ -65,10 +87,11 @@ class Tuned:
     trace: tuple[Step, ...]
     uncertainty: Uncertainty | None = None
     profiles: tuple[Profile, ...] = ()
-    held_out: HeldOut | None = None
+    held_out: Proof | None = None
     interrupted: bool = False
     refused: dict[str, int] = field(default_factory=dict)
     folder: Path | None = None
+    logs: tuple[str, ...] = ()
 
     def __getitem__(self, key: str) -> Any:
         """The tuned value of a free parameter."""
@@ -76,6 +99,13 @@ class Tuned:
 
     def __str__(self) -> str:
         return writers.printed(self.render(), width=WIDTH)
+
+    @property
+    def data(self) -> str:
+        """What it was tuned on, in words."""
+        if self.logs:
+            return f"on {', '.join(self.logs)} in {self.runs} blocks of time"
+        return f"{self.runs} runs, seed {self.seed}"
 
     @property
     def level(self) -> float:
@@ -97,11 +127,7 @@ class Tuned:
         """What the reader should know: flat directions, over-fitting, failed candidates."""
         out = [] if self.uncertainty is None else in_words(self.parameters, self.uncertainty)
         held = self.held_out
-        if held is not None and held.overfitted:
-            out.append(
-                f"over-fitted: the log-likelihood of held-out runs is {quantity(held.shortfall)} "
-                "per run below that of the tuning runs; tune on more runs, or free less"
-            )
+        out += [] if held is None else held.words()
         out += [f"{n} candidates failed: {reason}" for reason, n in self.refused.items()]
         return out
 
@@ -109,21 +135,13 @@ class Tuned:
         """The tables for a rich console."""
         head = (
             f"{self.scenario.name}: {self.label} tuned by {self.objective} ({self.method}), "
-            f"{self.runs} runs, seed {self.seed}, {self.candidates} candidates in "
-            f"{self.batches} sets"
+            f"{self.data}, {self.candidates} candidates in {self.batches} sets"
         )
         if self.interrupted:
             head += " [interrupted: the best so far]"
         parts: list[Any] = [Text(head, style="bold"), self._values()]
         if self.held_out is not None:
-            parts += [
-                Text(
-                    f"held-out: {self.held_out.runs} runs, seed {self.held_out.seed}; change of "
-                    "the log-likelihood per run and ratios of RMSE are paired, with the "
-                    f"{self.level:.0%} interval across runs",
-                ),
-                *held_out_tables(self.held_out),
-            ]
+            parts += [Text(self.held_out.head(self.level)), *self.held_out.tables()]
         parts += [Text(textwrap.fill(line, 90), style="yellow") for line in self.words]
         if self.folder is not None:
             parts.append(Text(f"written to {self.folder}"))
@@ -159,7 +177,7 @@ class Tuned:
         return {
             "scenario": self.scenario.name, "estimator": self.label,
             "objective": self.objective, "method": self.method, "runs": self.runs,
-            "seed": self.seed, "interrupted": self.interrupted,
+            "seed": self.seed, "logs": list(self.logs), "interrupted": self.interrupted,
             "sets_of_candidates": self.batches, "candidates": self.candidates,
             "loss": {"before": plain(self.loss[0]), "after": plain(self.loss[1])},
             "parameters": {
@@ -174,16 +192,7 @@ class Tuned:
                 {"values": list(s.values), "loss": plain(s.loss), "candidates": s.candidates}
                 for s in self.trace
             ],
-            "held_out": None if held is None else {
-                "seed": held.seed, "runs": held.runs,
-                "log_likelihood_difference": plain(held.likelihood),
-                "rmse_ratio": {n: plain(i) for n, i in zip(held.names, held.rmse)},
-                "shortfall": plain(held.shortfall), "overfitted": held.overfitted,
-                "verdict": {"before": str(held.before.verdict), "after": str(held.after.verdict)},
-                "anees_over_n": {
-                    "before": plain(held.before.anees), "after": plain(held.after.anees),
-                },
-            },
+            "held_out": None if held is None else held.to_dict(),
         }  # fmt: skip
 
     def to_json(self) -> str:
@@ -194,20 +203,16 @@ class Tuned:
         """The tuned scenario with a header of what was done; `estbench run` takes the file."""
         lines = [
             f"{self.label} tuned by estbench: objective {self.objective}, search {self.method}, "
-            f"{self.runs} runs, seed {self.seed}, {self.candidates} candidates.",
-            f"Mean loss per run: {self.loss[0]:.6g} before, {self.loss[1]:.6g} after.",
+            f"{self.data}, {self.candidates} candidates.",
+            f"Mean loss per {'block' if self.logs else 'run'}: {self.loss[0]:.6g} before, "
+            f"{self.loss[1]:.6g} after.",
         ]
         for p, v, i in zip(self.parameters, self.values, self.intervals):
             shown = "" if i is None else f", {self.level:.0%} interval {quantity(i)}"
             lines.append(f"{p.key}: {p.start} -> {v}{shown}")
         held = self.held_out
         if held is not None:
-            lines.append(
-                f"Held-out ({held.runs} runs, seed {held.seed}): {held.before.verdict} -> "
-                f"{held.after.verdict}, NEES/n {quantity(held.before.anees)} -> "
-                f"{quantity(held.after.anees)}, log-likelihood per run "
-                f"{quantity(held.likelihood)} higher."
-            )
+            lines += held.lines()
         lines += self.words
         if self.interrupted:
             lines.append("The search was interrupted: these are the best values so far.")
@@ -220,26 +225,3 @@ def tuned_scenario(
 ) -> Scenario:
     """The scenario with the tuned values."""
     return keys.changed(scenario, {p.names: v for p, v in zip(parameters, values)})
-
-
-def held_out_tables(held: HeldOut) -> list[Table]:
-    """Before and after: the statistics of runs, then RMSE per coordinate."""
-    pair = (("before", held.before), ("after", held.after))
-    columns: list[tuple[Column, ...]] = [
-        (Column("verdict", tuple(str(s.verdict) for _, s in pair), "left"),)
-    ]
-    for s in statistics.shown("run"):
-        if s.form != "number":
-            cells = tuple(cell(s, value_of(x, s), s.places["run"]) for _, x in pair)
-            columns.append((Column(s.heading_in("run"), cells, narrow=s.narrow),))
-    columns.append((Column("log-lik. change", ("", quantity(held.likelihood))),))
-    first = Table((Column("", tuple(name for name, _ in pair), "left"),), tuple(columns))
-    rmse = [tuple(number(i.value) for i in value_of(x, RMSE)) for _, x in pair]
-    second = Table(
-        (Column("coordinate", held.names, "left"), Column("unit", held.units, "left")),
-        (
-            (Column("RMSE before", rmse[0]),), (Column("after", rmse[1]),),
-            (Column("after/before", tuple(quantity(i) for i in held.rmse)),),
-        ),
-    )  # fmt: skip
-    return [first, second]

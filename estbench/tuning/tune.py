@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from estbench.consistency.innovations import FEWEST
 from estbench.errors import Interrupted, StoreError, StudyError, shown
 from estbench.experiment.setup import build
 from estbench.scenario.load import resolve
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.study import keys
-from estbench.tuning import freedom, heldout, search
+from estbench.tuning import freedom, heldout, heldout_logs, logged, search
 from estbench.tuning.evaluation import Evaluation, Simulated
+from estbench.tuning.logged import LogFiles
 from estbench.tuning.memory import Memory
 from estbench.tuning.objective import Kind, Objective
 from estbench.tuning.parameters import Free, Parameter, Prior, parse, values_at, with_priors
@@ -43,12 +45,18 @@ def tune(
     duration: float | None = None,
     overrides: Sequence[str] = (),
     held_out: int | None = None,
+    logs: Sequence[LogFiles] = (),
+    held_out_logs: Sequence[LogFiles] = (),
+    hold_out: Sequence[str] = (),
     out: str | Path | None = None,
     resume: bool = False,
     workers: int | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Tuned:
     """Fit what an estimator believes, or its settings, and prove the result on other runs.
+
+    With `logs` the readings are those of recorded logs instead: the likelihood of each block of
+    time takes the place of that of a run, and keys of `[log]` may be free too.
 
     The loss is that of the same runs for every candidate (common random numbers): truth and
     readings are simulated once. Then the estimator before and after runs on as many held-out runs.
@@ -78,6 +86,9 @@ def tune(
         duration: s, in place of the scenario's.
         overrides: `section.key=value` strings: the filter before the tuning.
         held_out: count of held-out runs; default as many as runs; 0 leaves them out.
+        logs: recorded logs, each a file or a list of the files of one log.
+        held_out_logs: other logs, on which the filter before and after is judged.
+        hold_out: channels of the logs that are predicted and not fused.
         out: folder of the tuned scenario, the result and all candidates; None writes nothing.
         resume: go on in `out`; no candidate is computed twice.
         workers: threads.
@@ -92,24 +103,31 @@ def tune(
     resolved = resolve(scenario, [estimator], runs, seed, duration, overrides)
     _check(free, coordinates, priors, iterations, held_out)
     (label,) = resolved.estimators
-    prepared = build(resolved)
+    recorded = logged.given(resolved, label, logs, hold_out, (runs, duration, held_out), objective)
+    others = heldout_logs.given(resolved, label, recorded, held_out_logs, hold_out)
+    prepared = build(resolved) if recorded is None else recorded.start
     parameters = with_priors(
         freedom.parameters(prepared, label, [parse(f) if isinstance(f, str) else f for f in free]),
         [(key, Prior(*spec)) for key, spec in (priors or {}).items()],
     )
-    count = resolved.simulation.runs
+    count = resolved.simulation.runs if recorded is None else recorded.runs
     if count < len(parameters) + 1:
         raise StudyError(
-            f"{len(parameters)} free parameters need at least {len(parameters) + 1} runs, got "
-            f"{count}; raise --runs"
-        )
-    if objective == "likelihood" and resolved.control.observe == "estimate":
+            f"{len(parameters)} free parameters need at least {len(parameters) + 1} "
+            + (f"runs, got {count}; raise --runs" if recorded is None else
+               f"blocks of {FEWEST} updates, got {count}; give a longer --log")
+        )  # fmt: skip
+    if recorded is None and objective == "likelihood" and resolved.control.observe == "estimate":
         raise StudyError(
             "the controller sees the estimate, so that each candidate has readings of its own, "
             "whose likelihoods do not compare; use --objective mse, or control.observe=reference"
         )
-    folder = _folder(out, resume, resolved, [keys.show(p.names) for p in parameters])
-    source = Simulated(prepared, label, [p.names for p in parameters], range(count), workers)
+    names = tuple(p.names for p in parameters)
+    used = () if recorded is None else tuple(log.name for log in recorded.logs)
+    folder = _folder(out, resume, resolved, [*map(keys.show, names), *used])
+    if recorded is not None:
+        recorded.free = names
+    source = recorded or Simulated(prepared, label, names, range(count), workers)
     memory = Memory(source, None if folder is None else folder / EVALUATIONS)
     note = progress or (lambda candidates, loss: None)
     found = fit(
@@ -121,9 +139,12 @@ def tune(
     wanted = count if held_out is None else held_out
     if wanted and not interrupted:
         try:
-            compared = heldout.compare(
-                resolved, label, parameters, found.values, resolved.simulation.seed + 1, wanted,
-                found.likelihood,
+            compared = (
+                heldout.compare(
+                    resolved, label, parameters, found.values, resolved.simulation.seed + 1,
+                    wanted, found.likelihood,
+                ) if recorded is None else
+                heldout_logs.compare(recorded, others, found.values, resolved.consistency.level)
             )  # fmt: skip
         except (Interrupted, KeyboardInterrupt):
             interrupted = True
@@ -134,7 +155,7 @@ def tune(
         batches=memory.sets, candidates=len(memory.asked),
         trace=tuple(found.problem.trace),
         uncertainty=found.uncertainty, profiles=found.profiles, held_out=compared,
-        interrupted=interrupted, refused=found.refused, folder=folder,
+        interrupted=interrupted, refused=found.refused, folder=folder, logs=used,
     )  # fmt: skip
     if folder is not None:
         (folder / SCENARIO).write_text(tuned.to_toml(), encoding="utf-8")
