@@ -50,14 +50,24 @@ def load_module(module: str, what: str) -> Any:
     if here not in sys.path:
         sys.path.append(here)
     if module.endswith(".py") and Path(module).is_file():
-        name = ".".join(Path(module).with_suffix("").parts)
-        raise EstimatorError(f"{what}: '{module}' is a file; name its module, '{name}'")
+        raise EstimatorError(
+            f"{what}: '{module}' is a file; name its module, {_importable(module)}"
+        )
     try:
         return importlib.import_module(module)
     except (Exception, SystemExit) as error:  # a user's module may raise anything
         raise EstimatorError(
             f"{what}: cannot import '{module}': {user_error_location(error)}"
         ) from None
+
+
+def _importable(file: str) -> str:
+    """How the module of a file is named: below the current folder, or on the import path."""
+    path = Path(file).resolve()
+    if path.is_relative_to(Path.cwd().resolve()):
+        name = ".".join(path.relative_to(Path.cwd().resolve()).with_suffix("").parts)
+        return f"'{name}'"
+    return f"'{path.stem}', with its folder in PYTHONPATH: '{path.parent}'"
 
 
 def function(target: str, where: str) -> Callable[..., Any]:

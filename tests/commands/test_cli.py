@@ -280,6 +280,10 @@ BAD = {
         ("run", "cartpole", "-e", "./filter_here.py:Mine"),
         r"'./filter_here.py' is a file; name its module, 'filter_here'$",
     ),
+    "estimator's file elsewhere": (
+        ("run", "cartpole", "-e", f"{__file__}:Mine"),
+        "name its module, 'test_cli', with its folder in PYTHONPATH: '",
+    ),
     "suffix": (("run", "still"), r"no scenario 'still' \(did you mean 'still.xml'\?\)$"),
     "sensors of none": (
         ("run", "blind.xml", "--set", 'sensors=["gyr"]'),
