@@ -11,6 +11,8 @@ from estbench.report.rendering import render, scene, window
 from estbench.shapes import Array
 
 Belief = tuple[Array, Array]
+LARGEST = 16384
+"""Pixels of a side; OpenGL's buffers are no larger on most machines."""
 
 
 class GhostRenderer:
@@ -22,12 +24,17 @@ class GhostRenderer:
         camera: name or number, -1 for a free one; default `view`, else the first, else a free one.
 
     Raises:
-        RenderError: there is no such camera.
+        RenderError: there is no such camera, or a side has no whole number of pixels.
     """
 
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, camera: str | int | None = None
     ):
+        for name, side in (("width", width), ("height", height)):
+            if not (isinstance(side, int) and 1 <= side <= LARGEST):
+                raise render.RenderError(
+                    f"{name} is {side!r}; use a whole number of pixels from 1 to {LARGEST}"
+                )
         self._model = scene.lit(model)
         self._camera, _ = render.find_camera(self._model, camera)
         self._look = width, height, camera

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from estbench.consistency.whiteness import Whiteness, whiteness
 from estbench.errors import DimensionError, EstbenchError, EstimatorError, user_error_location
-from estbench.estimators.beliefs import start
+from estbench.estimators.beliefs import checked_keys, start
 from estbench.estimators.protocol import Estimator, FilterHistory, Measurement
 from estbench.inference.answers import Answers, kept
 from estbench.inference.innovations import Innovations
@@ -121,6 +121,7 @@ def follow(
         raise DimensionError(f"y has shape {y.shape}; expected (step, {len(mean)}, {ny})")
     clock = _times(times, len(y))
     count, runs = len(clock) - 1, len(mean)
+    keys = None if keys is None else checked_keys(keys, runs)
     controls = np.zeros((count, runs, nu)) if u is None else u
     if controls.shape != (count, runs, nu):
         raise DimensionError(

@@ -70,6 +70,8 @@ def test_an_estimator_without_a_model(kind):
         ({"ghost": 1}, "ghost is 1; use True or False"),
         ({"overrides": "a=1"}, "overrides is 'a=1'; use a list"),
         ({"overrides": 1.5 * EYE}, "overrides is"),
+        ({"width": "1"}, "width is '1'; use a whole number of pixels from 1 to 16384"),
+        ({"height": np.inf}, "height is inf; use a whole number of pixels"),
     ],
 )
 def test_an_environment(given, message):
@@ -84,11 +86,43 @@ def test_an_environment(given, message):
         ({"priors": ["x"]}, "priors is .*; use a table"),
         ({"free": "filter.process_noise_scale"}, "free is .*; use a list of keys"),
         ({"held_out": -1}, "held_out is -1; use a whole number of at least 0"),
+        ({"workers": []}, r"workers is \[\]; use a whole number of at least 1"),
     ],
 )
 def test_a_tuning(given, message):
     with pytest.raises(EstbenchError, match=message):
         estbench.tune("pendulum", "ekf", **({"free": ["filter.process_noise_scale"]} | given))
+
+
+@pytest.mark.parametrize("workers", [[], 0, 1.5, True])
+def test_workers(workers):
+    for call in (
+        lambda: estbench.run("pendulum", "ekf", runs=2, workers=workers),
+        lambda: estbench.sweep("pendulum", ["model.frame_skip=1"], "ekf", runs=2, workers=workers),
+        lambda: estbench.budget("pendulum", "ekf", monte_carlo=True, runs=2, workers=workers),
+    ):
+        with pytest.raises(EstbenchError, match=r"workers is .*; use a whole number of at least 1"):
+            call()
+
+
+@pytest.mark.parametrize("estimators", [0, 1.5, False])
+def test_estimators(estimators):
+    with pytest.raises(EstbenchError, match=r"estimators is .*; use a label, a name, a class, or"):
+        estbench.run("pendulum", estimators)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ([["a", "b"]], "type <U1"),
+        ([0.5, 1.5], "type float64"),
+        ([1], r"shape \(1,\); expected one"),
+    ],
+)
+@pytest.mark.parametrize("kind", [estbench.KF, estbench.EnKF])
+def test_keys(kind, keys, message):
+    with pytest.raises(EstbenchError, match=f"keys has {message}"):
+        estbench.follow(kind(MODEL), np.zeros((2, 2)), [EYE, EYE], np.zeros((1, 2, 2)), keys=keys)
 
 
 def test_a_study_of_too_many_variants():

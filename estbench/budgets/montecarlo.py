@@ -113,7 +113,7 @@ def sampled(
         key, start = task
         return _mse(variants[key], label, range(start, min(start + size, count)), stop)
 
-    using = executors.pool("threads", workers or executors.cpu_count())
+    using = executors.pool("threads", executors.worker_count(workers))
     stopped = work_off(work, tasks, using, (), finished, lambda _, error: errors.append(error))
     if stopped:
         raise Interrupted("interrupted before all variants were finished: there is no result")

@@ -113,10 +113,22 @@ def random_start(
     Raises:
         DimensionError: there is not one key per run.
     """
-    keys = default_keys(runs) if keys is None else np.asarray(keys, np.uint64)
-    if keys.shape != (runs,):
-        raise DimensionError(f"keys has shape {keys.shape}; expected one per run, {(runs,)}")
+    keys = default_keys(runs) if keys is None else checked_keys(keys, runs)
     return keys, np.zeros(runs, np.uint64)
+
+
+def checked_keys(keys: object, runs: int) -> UInt[Keys, " run"]:
+    """Random keys that were given.
+
+    Raises:
+        DimensionError: there is not one whole number per run.
+    """
+    found = np.asarray(keys)
+    if found.dtype.kind not in "iu":
+        raise DimensionError(f"keys has type {found.dtype}; give one whole number per run")
+    if found.shape != (runs,):
+        raise DimensionError(f"keys has shape {found.shape}; expected one per run, {(runs,)}")
+    return found.astype(np.uint64)
 
 
 class GaussianEstimator:

@@ -7,6 +7,7 @@ from estbench.consistency.fields import Record
 from estbench.errors import ExecutorError, StoreError
 from estbench.experiment.prepared import Setup
 from estbench.montecarlo import worker
+from estbench.montecarlo.executors import is_whole
 from estbench.montecarlo.pool import Pool, work_off
 from estbench.store.zarr import Store
 
@@ -22,24 +23,10 @@ def check_shard(shard: tuple[int, int] | None) -> None:
     """
     if shard is None:
         return
-    if not (isinstance(shard, tuple | list) and len(shard) == 2 and all(map(_is_whole, shard))):
+    if not (isinstance(shard, tuple | list) and len(shard) == 2 and all(map(is_whole, shard))):
         raise ExecutorError(f"shard is {shard!r}; use (i, n) with 1 <= i <= n")
     if not 1 <= shard[0] <= shard[1]:
         raise ExecutorError(f"shard is {shard[0]}/{shard[1]}; use i/n with 1 <= i <= n")
-
-
-def check_count(name: str, value: object) -> None:
-    """Check a count of workers or of runs of a batch; None is left to estbench.
-
-    Raises:
-        ExecutorError: it is no whole number of at least 1.
-    """
-    if value is not None and not (_is_whole(value) and value >= 1):  # type: ignore[operator]
-        raise ExecutorError(f"{name} is {value!r}; use a whole number of at least 1")
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def check_folder(out: str | Path | None, resume: bool, shard: tuple[int, int] | None) -> None:

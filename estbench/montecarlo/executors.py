@@ -24,6 +24,31 @@ def cpu_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def worker_count(workers: int | None) -> int:
+    """The workers that are wanted, by default one per CPU.
+
+    Raises:
+        ExecutorError: it is no whole number of at least 1.
+    """
+    check_count("workers", workers)
+    return workers or cpu_count()
+
+
+def check_count(name: str, value: object) -> None:
+    """Check a count of workers or of runs of a batch; None is left to estbench.
+
+    Raises:
+        ExecutorError: it is no whole number of at least 1.
+    """
+    if value is not None and not (is_whole(value) and value >= 1):  # type: ignore[operator]
+        raise ExecutorError(f"{name} is {value!r}; use a whole number of at least 1")
+
+
+def is_whole(value: object) -> bool:
+    """Whether it is a whole number, which True is not."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
 def choose(steps: int, cpus: int) -> str:
     """The kind that `auto` means: threads or processes.
 

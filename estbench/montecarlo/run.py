@@ -145,7 +145,7 @@ def _check(
     if out is not None and not isinstance(out, str | Path):
         raise StoreError(f"out is {out!r}; use the path of a folder")
     for name, value in (("batch_size", batch_size), ("workers", workers)):
-        dispatch.check_count(name, value)
+        executors.check_count(name, value)
     for name, value, known in (
         ("keep", keep, ("auto", "summary", "diagonal", "full")),
         ("dtype", dtype, ("float64", "float32")),
@@ -179,7 +179,7 @@ def _pool(prepared: Setup, kind: str, address: str | None, workers: int | None, 
     if kind == "auto":
         scenario = prepared.scenario
         steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
-        kind = executors.choose(steps, workers or executors.cpu_count())
+        kind = executors.choose(steps, executors.worker_count(workers))
     return executors.pool(kind, workers or executors.fitting(kind, size), address)
 
 

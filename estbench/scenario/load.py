@@ -110,6 +110,10 @@ def resolve(
         resolved = override(scenario, overrides)
     else:
         resolved = load(scenario, overrides)
+    if not (estimators is None or isinstance(estimators, str | type | Sequence)):
+        raise EstimatorError(
+            f"estimators is {estimators!r}; use a label, a name, a class, or a list of them"
+        )
     if estimators:
         chosen = _chosen(estimators, resolved.estimators)
         resolved = resolved.model_copy(update={"estimators": chosen})
@@ -140,10 +144,6 @@ def _check_options(options: Sequence[str]) -> None:
 
 def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Label -> settings of the estimators to run, from the scenario's tables where they exist."""
-    if not isinstance(estimators, str | type | Sequence):
-        raise EstimatorError(
-            f"estimators is {estimators!r}; use a label, a name, a class, or a list of them"
-        )
     several = [estimators] if isinstance(estimators, str | type) else estimators
     chosen: dict[str, dict[str, Any]] = {}
     for name in map(registry.name_of, several):

@@ -48,6 +48,8 @@ def run(
     """
     check_folder(out, resume, shard)
     check_shard(shard)
+    for name, value in (("batch_size", batch_size), ("workers", workers)):
+        executors.check_count(name, value)
     prepared = computing.prepare(study)
     bases = [group[0] for group in prepared]
     names = {base.space.names for base in bases}
@@ -68,7 +70,7 @@ def run(
     if kind == "auto":
         steps = study.scenario.simulation.runs * len(first.times) * len(study.labels)
         steps *= len(study.variants)
-        kind = executors.choose(steps, workers or executors.cpu_count())
+        kind = executors.choose(steps, executors.worker_count(workers))
     count = workers or executors.fitting(kind, size * batch.run_bytes(first, level))
     using = executors.pool(kind, count, address)
     pieces: dict[Piece, Outcomes] = {}

@@ -111,7 +111,7 @@ class Simulated:
         size = batch.default_batch_size(self._base, "summary")
         self._batches = [runs[i : i + size] for i in range(0, len(runs), size)]
         self._truth: list[Trajectory | None] | None = None
-        self._workers = workers or executors.cpu_count()
+        self._workers = executors.worker_count(workers)
         self._stop = threading.Event()
         self.names, self.runs = prepared.space.names, len(runs)
         self.batches = self.candidates = 0
