@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired, score
+from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired
 from estbench.analysis.findings import Findings, find
 from estbench.analysis.load import Stored, load_all
-from estbench.consistency.fields import Record
 from estbench.consistency.intervals import Interval, mean_interval
+from estbench.consistency.scores import inexact, score
 from estbench.errors import AnalysisError, StoreError
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
@@ -126,11 +126,10 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         )
     rows = tuple(np.flatnonzero(np.isin(f.stored.runs, runs)) for f in findings)
     scores, anees, likely, received = {}, {}, {}, {}
-    known: NDArray[np.bool_] = np.max([_always_known(f.record) for f in findings], axis=0)
-    inexact = np.flatnonzero(~known | known.all())
+    compared = inexact([f.record for f in findings])
     for f, where in zip(findings, rows):
         lost = f.record["diverged"][where].astype(bool)
-        scores[f.key] = score(f.record["mse"][where][:, inexact], lost)
+        scores[f.key] = score(f.record["mse"][where][:, compared], lost)
         anees[f.key] = np.where(lost, np.nan, f.record["anees"][where])
         likely[f.key] = np.where(lost, np.nan, _optional(f, "log_likelihood")[where])
         received[f.key] = _optional(f, "received")[where]
@@ -151,12 +150,6 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         ),
         _rows=rows,
     )
-
-
-def _always_known(record: Record) -> NDArray[np.bool_]:
-    """Coordinates `(n,)` that the estimator knows exactly at every step; none of older stores."""
-    n = record["mse"].shape[1]
-    return (record["known"] == 1).all(axis=0) if "known" in record else np.zeros(n, bool)
 
 
 def _optional(f: Findings, name: str) -> Array:

@@ -10,17 +10,15 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from estbench.consistency.intervals import Interval, mean_interval
 from estbench.consistency.multiplicity import holm
+from estbench.consistency.scores import difference
 from estbench.shapes import Array
 
 ROUNDING = 1e-9
 """Differences below this part of the values are rounding errors, and count as ties."""
-TINY = 1e-300
-"""Least squared error, so that the logarithm is finite."""
 
 
 @dataclass(frozen=True)
@@ -130,22 +128,6 @@ class Rank:
     lost: float
 
 
-def score(mse: Array, lost: NDArray[np.bool_]) -> Array:
-    """The mean over the coordinates of log RMSE, one number per run `(run,)`.
-
-    Leave out coordinates that an estimator knows exactly: their errors are rounding errors.
-
-    The exponential of a difference is the geometric mean over the coordinates of the ratios of
-    RMSE. It has no unit and needs no weights; the size of a coordinate has no influence.
-
-    Args:
-        mse: mean squared error `(run, coordinate)`.
-        lost: whether the run diverged `(run,)`; its score is infinite.
-    """
-    with np.errstate(invalid="ignore"):
-        return np.where(lost, np.inf, 0.5 * np.log(np.maximum(mse, TINY)).mean(axis=1))
-
-
 def compare(
     scores: Mapping[str, Array], level: float = 0.95, margin: float = 0.01
 ) -> tuple[list[Pair], list[Rank]]:
@@ -157,7 +139,7 @@ def compare(
     although a is better than c. The range of ranks shows it.
 
     Args:
-        scores: key -> `score` of the same runs, all in the same order.
+        scores: key -> `consistency.scores.score` of the same runs, all in the same order.
         level: confidence; 1 - level is the probability of any false difference.
         margin: a relative difference that is too small to matter, positive.
     """
@@ -189,18 +171,12 @@ def compare(
             place=1 + better[key],
             last=len(keys) - worse[key],
             tied=places.count(better[key]) > 1,
-            ratio=_difference(scores[key], scores[order[0]], level).exponential(),
+            ratio=difference(scores[key], scores[order[0]], level).exponential(),
             lost=lost[key],
         )
         for key in order
     ]
     return pairs, ranks
-
-
-def _difference(a: Array, b: Array, level: float) -> Interval:
-    """Mean of a - b over the runs lost by neither, with Student's t interval."""
-    both = np.isfinite(a) & np.isfinite(b)
-    return mean_interval(a[both] - b[both], level)
 
 
 def fewest_runs(estimators: int, level: float = 0.95) -> int:

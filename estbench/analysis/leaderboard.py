@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from estbench.analysis.board import MARGIN, Board, markdown, to_csv
-from estbench.analysis.comparison import compare, score
+from estbench.analysis.comparison import compare
+from estbench.consistency.scores import score
 from estbench.errors import AnalysisError, DimensionError, EstimatorError, StoreError
 from estbench.experiment.setup import build
 from estbench.montecarlo.run import run

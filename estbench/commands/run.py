@@ -49,6 +49,23 @@ def run(
         Literal["float64", "float32"] | None,
         typer.Option(help="of the stored traces; default float64"),
     ] = None,
+    precision: Annotated[
+        float | None,
+        typer.Option(
+            help="add runs, up to --runs, until NEES/n of every estimator is known to ± this"
+        ),
+    ] = None,
+    precision_of: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="with --precision: until the ratio of the RMSE of two estimators is, 0.02 = 2%",
+        ),
+    ] = None,
+    until_decided: Annotated[
+        bool,
+        typer.Option("--until-decided", help="add runs until no verdict is undecided"),
+    ] = False,
     resume: Resume = False,
     shard: Shard = None,
     executor: Annotated[
@@ -83,8 +100,10 @@ def run(
     folder = out if out is not None or continued else store.default_folder(resolved.name)
     with progress(resolved.simulation.runs) as bar:
         results = experiment.run(
-            resolved, out=folder, keep=keep, dtype=dtype, resume=resume, shard=shares(shard),
-            executor=executor, address=address, workers=workers, progress=bar,
+            resolved, out=folder, keep=keep, dtype=dtype, precision=precision,
+            precision_of=pair(precision_of),
+            until_decided=until_decided, resume=resume, shard=shares(shard), executor=executor,
+            address=address, workers=workers, progress=bar,
             say=lambda line: say(f"note: {line}"),
         )  # fmt: skip
     if as_json:
@@ -95,3 +114,8 @@ def run(
         raise typer.Exit(130)
     if results.failed:  # the notes name the missing runs and the cause
         raise typer.Exit(1)
+
+
+def pair(text: str | None) -> tuple[str, str] | None:
+    """`A,B` as a pair of labels; what is no pair is refused with the other mistakes of a rule."""
+    return None if text is None else tuple(text.split(","))  # type: ignore[return-value]

@@ -13,6 +13,8 @@ from estbench.store.zarr import Store
 
 Progress = Callable[[int, int], None]
 """Called with the count of finished runs and that of all runs."""
+Say = Callable[[str], None]
+"""Called with a notice that the user should read before the runs are computed."""
 
 
 def check_shard(shard: tuple[int, int] | None) -> None:

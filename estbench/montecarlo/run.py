@@ -1,25 +1,20 @@
 """Monte Carlo experiments: batches of runs on workers, interruptible, finished runs are kept."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from estbench.bounds import scenario as bounds
-from estbench.consistency.fields import Record
-from estbench.consistency.records import merge
-from estbench.consistency.summary import summarize
-from estbench.errors import ExecutorError, Interrupted, StoreError
+from estbench.errors import ExecutorError, StoreError
 from estbench.experiment import unseen
 from estbench.experiment.setup import Setup, build
-from estbench.montecarlo import batch, dispatch, executors, forecast
-from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo import batch, dispatch, executors, forecast, stopping
+from estbench.montecarlo.completion import Done, Plan, complete
+from estbench.montecarlo.dispatch import Progress, Say
 from estbench.montecarlo.pool import Pool
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
 from estbench.store.zarr import Store
-
-Say = Callable[[str], None]
-"""Called with a notice that the user should read before the runs are computed."""
 
 
 def run(
@@ -33,6 +28,9 @@ def run(
     out: str | Path | None = None,
     keep: Literal["auto", "summary", "diagonal", "full"] = "auto",
     dtype: Literal["float64", "float32"] | None = None,
+    precision: float | None = None,
+    precision_of: tuple[str, str] | None = None,
+    until_decided: bool = False,
     resume: bool = False,
     shard: tuple[int, int] | None = None,
     executor: Literal["auto", "threads", "processes", "dask"] = "threads",
@@ -47,7 +45,7 @@ def run(
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
         estimators: labels, names or classes, in place of the scenario's; one needs no list.
-        runs: Monte Carlo runs, in place of the scenario's.
+        runs: Monte Carlo runs, in place of the scenario's; at most, where a rule ends them.
         seed: in place of the scenario's.
         duration: s, in place of the scenario's.
         overrides: `section.key=value` strings.
@@ -55,7 +53,13 @@ def run(
         keep: what is stored of each run; `auto` is `diagonal` if the traces of all runs take at
             most 1 GiB (`batch.TRACES_BYTES`), else `summary`, with a notice.
         dtype: of the stored traces; default `float64`, or that of the resumed store.
-        resume: continue `out` if it exists: only missing batches are computed.
+        precision: runs are added until the interval of NEES/n of every estimator has at most this
+            half-width.
+        precision_of: labels of two estimators; the precision is then that of the logarithm of the
+            ratio of their RMSE, the geometric mean over the coordinates: 0.02 is 2%.
+        until_decided: runs are added until no verdict is undecided.
+        resume: continue `out` if it exists: only missing batches are computed, and runs are added
+            if more are asked for.
         shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
         executor: `threads`, `processes` (spawned, so that a script needs its
             `if __name__ == "__main__":`), `auto` (processes for long work on many CPUs), or `dask`.
@@ -76,57 +80,60 @@ def run(
     stored = dtype or "float64"
     _check(out, keep, stored, resume, shard, executor, address, workers, batch_size)
     resolved = resolve(scenario, estimators, runs, seed, duration, overrides)
+    rule = stopping.rule(precision, precision_of, until_decided, resolved)
+    if rule is not None and shard is not None:
+        raise ExecutorError(
+            f"shard is {shard[0]}/{shard[1]}: a share of the runs cannot tell whether they are "
+            "enough; leave it out, or give --runs alone"
+        )
     prepared = build(resolved)
     level, notices = _level(prepared, keep, stored, out is not None)
     size = batch_size or batch.default_batch_size(prepared, level)
+    if rule is not None and batch_size is None:
+        size = min(size, stopping.BATCH)
     a_run = batch.run_bytes(prepared, level) + batch.working_bytes(prepared)
     using = _pool(prepared, executor, address, workers, size * a_run)
     hidden = unseen.notice(prepared)
-    blind = [hidden] if hidden else []
     if say is not None:
         for line in forecast.lines(prepared, size, level, using.workers, hidden):
             say(line)
-    if out is None:
-        count = resolved.simulation.runs
-        batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
-        done, failed, interrupted = dispatch.compute(
-            prepared, dict(enumerate(batches)), level, using, None, {}, progress
-        )
-        return _collect(prepared, batches, done, failed, None, interrupted, blind)
-    target = _open(Path(out), prepared, level, size, stored, resume, shard)
-    for name, was, value in (("keep", target.keep, keep), ("dtype", target.dtype, dtype)):
-        if value not in ("auto", None, was):
-            raise StoreError(
-                f"{out} is of another experiment: {name} was {was!r} and is {value!r}; "
-                "choose another --out"
-            )
-    with target.lock(shard):
-        done, corrupted = _finished(target)
-        indices = range(len(target.batches)) if shard is None else _share(target, shard)
-        wanted = {i: target.batches[i] for i in indices if i not in done}
-        mixed = target.sign(writing=bool(wanted))
-        if mixed and wanted and say is not None:
-            say(mixed)
-        try:
-            done, failed, interrupted = dispatch.compute(
-                prepared, wanted, target.keep, using, target, done, progress
-            )
-            if interrupted:  # a worker may have written a batch and not reported it
-                done = {**_finished(target)[0], **done}
-        finally:
-            if not done and shard is None:
-                target.discard()
-    again = [i for i in corrupted if i in wanted]
-    return _collect(
-        prepared, target.batches, done, failed, target, interrupted,
-        [
-            *blind,
-            *(notices if target.keep == level else ()),
-            *([mixed] if mixed else ()),
-            *(f"{name} was damaged and has been written again" for name in target.restored),
-            *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
-        ],
+    plan = Plan(
+        using, size, level, stored, None if out is None else Path(out),
+        (None if keep == "auto" else keep, dtype), resume, shard, progress, say, notices,
     )  # fmt: skip
+    results = complete(prepared, plan, {}) if rule is None else _until(rule, prepared, plan)
+    return replace(results, notices=(*results.notices, *([hidden] if hidden else [])))
+
+
+def _until(rule: stopping.Rule, prepared: Setup, plan: Plan) -> Results:
+    """Compute runs until a rule is met; a store is extended, so that it holds no run but these."""
+    done: Done = {}
+    most, size, begun = prepared.scenario.simulation.runs, plan.size, 0
+    if plan.resume and plan.out is not None and plan.out.exists():
+        begun, size = Store.extent(plan.out)
+        most = max(most, begun)
+
+    for count in stopping.looks(size, most, begun):
+        shown = replace(plan, progress=_onwards(plan.progress, count, most))
+        results = complete(_with_runs(prepared, count), shown, done)
+        plan = replace(plan, resume=True)
+        if results.interrupted or results.failed or rule.met(results):
+            break
+    if results.interrupted or results.failed:
+        return results
+    return replace(results, notices=(*results.notices, rule.said(results, most)))
+
+
+def _onwards(progress: Progress | None, count: int, most: int) -> Progress | None:
+    """The progress up to `count` runs as a part of the whole."""
+    return progress and (lambda finished, wanted: progress(count - wanted + finished, most))
+
+
+def _with_runs(prepared: Setup, count: int) -> Setup:
+    """The same experiment with another count of runs."""
+    scenario = prepared.scenario
+    simulation = scenario.simulation.model_copy(update={"runs": count})
+    return replace(prepared, scenario=scenario.model_copy(update={"simulation": simulation}))
 
 
 def _check(
@@ -181,93 +188,3 @@ def _pool(prepared: Setup, kind: str, address: str | None, workers: int | None, 
         steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
         kind = executors.choose(steps, executors.worker_count(workers))
     return executors.pool(kind, workers or executors.fitting(kind, size), address)
-
-
-def _open(
-    folder: Path,
-    prepared: Setup,
-    keep: str,
-    size: int,
-    dtype: str,
-    resume: bool,
-    shard: tuple[int, int] | None,
-) -> Store:
-    """A new store, or the resumed one; of several shards the first makes it."""
-    if (resume or shard is not None) and folder.exists():
-        return Store.reopen(folder, prepared)
-    try:
-        return Store.create(folder, prepared, keep, size, dtype)
-    except StoreError:
-        if shard is None or not folder.exists():
-            raise
-        return Store.reopen(folder, prepared)
-
-
-def _share(target: Store, shard: tuple[int, int]) -> range:
-    return range(shard[0] - 1, len(target.batches), shard[1])
-
-
-def _finished(target: Store) -> tuple[dict[int, dict[str, Record]], list[int]]:
-    """Summary records of the finished batches, and the numbers of the corrupted ones."""
-    done, corrupted = {}, []
-    for index in range(len(target.batches)):
-        if target.finished(index):
-            found = target.read(index)
-            if found is None:
-                corrupted.append(index)
-            else:
-                done[index] = found
-    return done, corrupted
-
-
-def _collect(
-    prepared: Setup,
-    batches: Sequence[range],
-    done: dict[int, dict[str, Record]],
-    failed: dict[int, Exception],
-    target: Store | None,
-    interrupted: bool,
-    notices: Sequence[str] = (),
-) -> Results:
-    """The results of the finished batches."""
-    if not done and failed:
-        raise next(iter(failed.values()))
-    if not done:
-        raise Interrupted("interrupted before the first batch was finished: there is no result")
-    order = sorted(done)
-    runs = [run for i in order for run in batches[i]]
-    merged = {
-        label: merge([done[i][label] for i in order]) for label in prepared.scenario.estimators
-    }
-    section = prepared.scenario.consistency
-    return Results(
-        scenario=prepared.scenario,
-        names=prepared.space.names,
-        units=prepared.space.units,
-        times=prepared.times,
-        steps=sum(instant.control for instant in prepared.instants),
-        runs=tuple(runs),
-        summaries=tuple(
-            summarize(
-                label,
-                record,
-                runs,
-                prepared.times,
-                section,
-                prepared.space.names,
-                tuple(prepared.channel_spaces),
-                prepared.scenario.contact,
-            )
-            for label, record in merged.items()
-        ),
-        records=merged,
-        notices=(
-            *prepared.notices,
-            *bounds.notices(prepared),
-            *notices,
-            *dispatch.missing(batches, failed),
-        ),
-        folder=target.folder if target is not None else None,
-        interrupted=interrupted,
-        failed=len(failed),
-    )

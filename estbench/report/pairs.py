@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
-from estbench.analysis.comparison import Pair, Paired, compare, paired, score
+from estbench.analysis.comparison import Pair, Paired, compare, paired
 from estbench.consistency.multiplicity import holm
+from estbench.consistency.scores import score
 from estbench.report.sources import Entry
 from estbench.shapes import Array
 

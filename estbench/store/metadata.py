@@ -81,9 +81,66 @@ def change(folder: Path, **attributes: Any) -> None:
     if INTEGRITY not in stored["attributes"]:
         checksums.replace(root, json.dumps(stored, indent=2))
         return
+    _put(folder, stored)
+
+
+def _put(folder: Path, stored: dict[str, Any]) -> None:
+    """Write the metadata and its copy, with their checksum."""
     stored["attributes"][INTEGRITY][CHECKSUM] = _digest(stored)
-    for path in (root, folder / COPY):
+    for path in (folder / STORE / "zarr.json", folder / COPY):
         checksums.replace(path, json.dumps(stored, indent=2))
+
+
+def lengthen(
+    folder: Path, texts: Mapping[str, str], labels: Labels, lengths: Mapping[str, int]
+) -> None:
+    """Declare every array longer along some dimensions; no chunk is written.
+
+    The metadata comes first, with the checksums of the new texts. If the process is killed then,
+    `restore` and `restore_labels` write the rest.
+
+    Args:
+        folder: of the results; nobody else writes to it.
+        texts: name of a file beside the store -> what it is to hold.
+        labels: that name the rows of the longer store, each one chunk.
+        lengths: dimension -> its new length.
+
+    Raises:
+        StoreError: the metadata is damaged, or of an earlier version without checksums.
+        OSError: the folder cannot be written.
+    """
+    with locks.briefly(folder):
+        stored = _intact(folder / STORE / "zarr.json")
+        if stored is None:
+            raise StoreError(
+                f"{folder} was begun with an earlier version of estbench: it takes no more runs; "
+                "choose another --out"
+            )
+        for name, node in stored["consolidated_metadata"]["metadata"].items():
+            for axis, dim in enumerate(node.get("dimension_names") or ()):
+                if dim in lengths:
+                    node["shape"][axis] = lengths[dim]
+                    if name in labels:
+                        node["chunk_grid"]["configuration"]["chunk_shape"][axis] = lengths[dim]
+        digests = {name: checksums.digest(text) for name, text in texts.items()}
+        stored["attributes"][INTEGRITY]["files"] |= digests
+        _put(folder, stored)
+        _restore(folder, texts)
+
+
+def holds(folder: Path, texts: Mapping[str, str]) -> bool:
+    """Whether the files beside the store hold these texts."""
+    return all(_checksum(folder / name) == checksums.digest(x) for name, x in texts.items())
+
+
+def rows(folder: Path, name: str) -> int | None:
+    """Length of a chunk along the last dimension of an array; None if the metadata is damaged."""
+    paths = folder / STORE / "zarr.json", folder / COPY
+    stored = next(filter(None, map(_intact, paths)), None)
+    if stored is None:
+        return None
+    node = stored["consolidated_metadata"]["metadata"][name]
+    return int(node["chunk_grid"]["configuration"]["chunk_shape"][-1])
 
 
 def is_sealed(folder: Path) -> bool:
@@ -126,9 +183,15 @@ def restore(folder: Path, texts: Mapping[str, str]) -> list[str]:
 
     Raises:
         StoreError: a file is damaged and nothing can restore it.
+        OSError: the folder cannot be written.
     """
     if not is_sealed(folder):
         return []
+    with locks.briefly(folder):  # what another process changes is read before or after
+        return _restore(folder, texts)
+
+
+def _restore(folder: Path, texts: Mapping[str, str]) -> list[str]:
     paths = folder / STORE / "zarr.json", folder / COPY
     found = [_intact(path) for path in paths]
     stored = found[0] or found[1]
@@ -136,7 +199,7 @@ def restore(folder: Path, texts: Mapping[str, str]) -> list[str]:
         raise StoreError(f"{paths[0]} and {paths[1]} are damaged; choose another --out")
     again: dict[Path, str] = {}
     for path, intact in zip(paths, found):
-        if intact is None:
+        if intact != stored:
             again[path] = json.dumps(stored, indent=2)
     for name, node in stored["consolidated_metadata"]["metadata"].items():
         path = folder / STORE / name / "zarr.json"
@@ -152,11 +215,9 @@ def restore(folder: Path, texts: Mapping[str, str]) -> list[str]:
                 "the store was begun with, which writes it again, or choose another --out"
             )
         again[folder / name] = texts[name]
-    if again:
-        with locks.briefly(folder):
-            for path, text in again.items():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                checksums.replace(path, text)
+    for path, text in again.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        checksums.replace(path, text)
     return [path.relative_to(folder).as_posix() for path in again]
 
 

@@ -30,7 +30,7 @@ from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError, given_path
 from estbench.experiment.prepared import Setup
 from estbench.scenario.load import changes
-from estbench.store import checksums, locks, metadata, versions
+from estbench.store import checksums, extension, locks, metadata, versions
 from estbench.store.metadata import STORE, UNREADABLE
 from estbench.store.template import declare, labels
 
@@ -90,7 +90,7 @@ class Store:
                 f"{folder} exists; choose another --out, remove it, or go on with --resume"
             )
         count = setup.scenario.simulation.runs
-        batches = [range(i, min(i + batch_size, count)) for i in range(0, count, batch_size)]
+        batches = divided(count, batch_size)
         made = [path for path in folder.parents if not path.exists()]
         # Built at a hidden path and renamed: other processes see the whole folder or none.
         draft = locks.draft(folder)
@@ -116,17 +116,28 @@ class Store:
         return new
 
     @classmethod
-    def reopen(cls, folder: Path, setup: Setup) -> "Store":
+    def reopen(
+        cls, folder: Path, setup: Setup, keep: str | None = None, dtype: str | None = None
+    ) -> "Store":
         """Open a store to resume it; damaged metadata, labels and texts are written again.
 
+        A store of the same scenario with fewer runs is extended; its batches stay as they are.
+
+        Args:
+            folder: of the results.
+            setup: the experiment.
+            keep: what is to be stored of each run; None for what the store has.
+            dtype: of the traces, likewise.
+
         Raises:
-            StoreError: it is no store, or of another scenario, of which the key that differs is
-                named; or a file is damaged that nothing can restore.
+            StoreError: it is no store, or of another scenario or level, of which the key that
+                differs is named; or a file is damaged that nothing can restore.
         """
         if not (folder / STORE).is_dir():
             raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
+        texts = _texts(setup)
         try:
-            restored = metadata.restore(folder, _texts(setup))
+            restored = metadata.restore(folder, texts)
         except OSError as error:
             raise _unwritable(folder, error) from None
         try:
@@ -135,8 +146,9 @@ class Store:
             raise StoreError(
                 f"{folder / SCENARIO} cannot be read: {error}; choose another --out"
             ) from None
-        now = tomllib.loads(setup.scenario.to_toml())
-        for key, was, asked in changes(before, now):
+        differences = changes(before, tomllib.loads(texts[SCENARIO]))
+        longer = extension.is_longer(differences)
+        for key, was, asked in () if longer else differences:
             raise StoreError(
                 f"{folder} is of another scenario: {key} was {was!r} and is {asked!r}; "
                 "choose another --out"
@@ -144,25 +156,48 @@ class Store:
         try:
             root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
             attrs = root.attrs.asdict()
-            size, keep, dtype = int(attrs["batch_size"]), attrs["keep"], attrs["dtype"]  # type: ignore[arg-type]
+            size, kept = int(attrs["batch_size"]), (str(attrs["keep"]), str(attrs["dtype"]))  # type: ignore[arg-type]
         except (OSError, KeyError, ValueError, json.JSONDecodeError) as error:
             raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
-        count = setup.scenario.simulation.runs
-        batches = [range(i, min(i + size, count)) for i in range(0, count, size)]
-        wanted = fields(str(keep), _live(setup))
+        for name, was, asked in zip(("keep", "dtype"), kept, (keep, dtype)):
+            if asked not in (None, was):
+                raise StoreError(
+                    f"{folder} is of another experiment: {name} was {was!r} and is {asked!r}; "
+                    "choose another --out"
+                )
+        wanted = fields(kept[0], _live(setup))
         for label in setup.scenario.estimators:
             if lacking := [name for name in wanted if f"{label}/{name}" not in root]:
                 raise StoreError(
                     f"{folder} was begun with an earlier version of estbench and has no "
                     f"{label}/{lacking[0]}: it can be read but not continued; choose another --out"
                 )
-        store = cls(folder, str(keep), str(dtype), batches, _live(setup))
+        names, batches = labels(setup, kept[0]), divided(setup.scenario.simulation.runs, size)
         try:
-            restored += metadata.restore_labels(folder, store._root, labels(setup, str(keep)))
+            if longer:
+                lengths = {"run": setup.scenario.simulation.runs, "batch": len(batches)}
+                extension.extend(folder, texts, names, lengths)
+            store = cls(folder, *kept, batches, _live(setup))
+            again = metadata.restore_labels(folder, store._root, names)
         except OSError as error:
             raise _unwritable(folder, error) from None
-        store.restored = restored
+        store.restored = restored + [name for name in again if not longer]
         return store
+
+    @staticmethod
+    def extent(folder: Path) -> tuple[int, int]:
+        """How many runs a store has, finished or not, and how many a batch.
+
+        Raises:
+            StoreError: it is no store, or its metadata is damaged.
+        """
+        try:
+            root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
+            return int(root["done"].shape[0]), int(root.attrs["batch_size"])  # type: ignore[arg-type]
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise StoreError(
+                f"{folder} cannot be continued: {error}; choose another --out"
+            ) from None
 
     def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
         """Write one batch, and mark its runs as done last.
@@ -292,6 +327,11 @@ class Store:
         dims = self._fields(group)[name].dims
         runs = self.batches[batch]
         return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
+
+
+def divided(runs: int, size: int) -> list[range]:
+    """The runs in batches of one size; the last one may be smaller."""
+    return [range(i, min(i + size, runs)) for i in range(0, runs, size)]
 
 
 def read_costs(folder: Path, batch: int) -> dict[str, float]:

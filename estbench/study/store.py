@@ -8,6 +8,7 @@ is written last. The scenario and the varied keys stand beside it.
 import contextlib
 import json
 import os
+import tomllib
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,10 +23,11 @@ from zarr.codecs import Crc32cCodec
 
 from estbench.consistency.fields import Record
 from estbench.errors import StoreError, given_path
-from estbench.store import checksums, locks, metadata
+from estbench.scenario.load import changes
+from estbench.store import checksums, extension, locks, metadata
 from estbench.store.metadata import STORE
 from estbench.store.template import provenance
-from estbench.store.zarr import SCENARIO
+from estbench.store.zarr import SCENARIO, divided
 from estbench.study.compute import Outcomes, Piece
 from estbench.study.design import Study
 from estbench.study.evaluation import KEPT, failed
@@ -46,8 +48,7 @@ class StudyStore:
 
     def __init__(self, folder: Path, study: Study, sizes: Mapping[str, int], batch_size: int):
         self.folder, self._study, self._sizes = folder, study, dict(sizes)
-        runs = study.scenario.simulation.runs
-        self.batches = [range(i, min(i + batch_size, runs)) for i in range(0, runs, batch_size)]
+        self.batches = divided(study.scenario.simulation.runs, batch_size)
         self.restored: list[str] = []
         self._root = zarr.open_group(str(folder / STORE), mode="r+", zarr_format=3)
         self._arrays = {name: metadata.opened(self._root, name) for name in (*KEPT, "done")}
@@ -97,28 +98,38 @@ class StudyStore:
     ) -> "StudyStore":
         """Open a store to go on with it; damaged metadata, labels and texts are written again.
 
+        A store of the same study with fewer runs is extended.
+
         Args:
             folder: of the results.
             study: the variants.
             sizes: length of each dimension.
             coordinates: dimension -> names along it.
-            batch_size: runs per batch, for a store whose description is damaged.
+            batch_size: runs per batch, for a store whose metadata does not tell.
 
         Raises:
             StoreError: it is no store, or of another study, or a file is damaged that nothing can
                 restore.
         """
+        batch_size = metadata.rows(folder, "done") or batch_size
         restored = metadata.restore(folder, _texts(study, sizes, batch_size))
-        about = read_about(folder)
-        was = {k: about.get(k) for k in describe(study)}
-        if was != json.loads(json.dumps(describe(study))):
+        about, asked = read_about(folder), json.loads(json.dumps(describe(study)))
+        before, now = (tomllib.loads(x.get("scenario", "")) for x in (about, asked))
+        differences = changes(before, now)
+        longer = extension.is_longer(differences)
+        if (differences and not longer) or any(about.get(k) != asked[k] for k in ("axes", "grid")):
             raise StoreError(
                 f"{folder} is of another study: its keys, values or scenario differ; choose "
                 "another --out"
             )
-        store = cls(folder, study, about["sizes"], int(about["batch_size"]))
-        again = metadata.restore_labels(folder, store._root, _labels(study, coordinates))
-        store.restored = restored + again
+        sizes, batch_size = about["sizes"], int(about["batch_size"])
+        names = _labels(study, coordinates)
+        if longer:
+            lengths = {"run": study.scenario.simulation.runs}
+            extension.extend(folder, _texts(study, sizes, batch_size), names, lengths)
+        store = cls(folder, study, sizes, batch_size)
+        again = metadata.restore_labels(folder, store._root, names)
+        store.restored = restored + [name for name in again if not longer]
         return store
 
     @contextmanager

@@ -10,7 +10,6 @@ from estbench.analysis.comparison import (
     fewest_runs,
     holm,
     paired,
-    score,
 )
 from estbench.consistency.intervals import Interval
 
@@ -125,24 +124,6 @@ def test_false_differences_among_equals_are_as_rare_as_the_level_says():
 
 
 # Scores and ranks
-
-
-def test_score_ratio_is_the_geometric_mean_whatever_the_unit():
-    rng = np.random.default_rng(3)
-    a, b = rng.uniform(1, 2, (2, 6, 3))
-    unit = np.array([1.0, 1e6, 1e-4])
-    lost = np.zeros(6, bool)
-    expected = (np.sqrt(a / b)).prod(axis=1) ** (1 / 3)
-    for scale in (1.0, unit**2):
-        difference = score(a * scale, lost) - score(b * scale, lost)
-        np.testing.assert_allclose(np.exp(difference), expected)
-
-
-def test_score_of_lost_and_perfect_runs():
-    found = score(np.array([[1.0, 1.0], [np.nan, 1.0], [0.0, 1.0]]), np.array([True, False, False]))
-    assert found[0] == INF
-    assert np.isnan(found[1])  # counts as lost in every comparison
-    assert np.isfinite(found[2])
 
 
 def made(ratio, spread=0.02, lost=0, runs=60, seed=0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import estbench
-from estbench.analysis.comparison import score
+from estbench.consistency.scores import score
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Fault
 from estbench.estimators.ekf import EKF

@@ -83,7 +83,7 @@ def test_resume_computes_only_what_is_missing(whole, tmp_path):
     assert str(again["ekf"].rmse) == str(whole["ekf"].rmse)
 
 
-@pytest.mark.parametrize("options", [{"seed": 1}, {"duration": 0.2}, {"runs": 41}])
+@pytest.mark.parametrize("options", [{"seed": 1}, {"duration": 0.2}, {"runs": 39}])
 def test_a_store_of_another_scenario_is_refused(whole, options):
     (key,) = options
     with pytest.raises(StoreError, match=rf"simulation\.{key} was .* and is"):

@@ -16,8 +16,8 @@ from estbench.study.store import StudyStore, open_study, read_about
 SHORT = {"runs": 6, "duration": 0.3}
 
 
-def study(*over, estimators=("ekf",), robot="pendulum", overrides=()):
-    scenario = resolve(robot, list(estimators), **SHORT, overrides=list(overrides))
+def study(*over, estimators=("ekf",), robot="pendulum", overrides=(), **options):
+    scenario = resolve(robot, list(estimators), **SHORT | options, overrides=list(overrides))
     return Study(scenario, axes.grid([axes.parse(text) for text in over]))
 
 
@@ -92,6 +92,22 @@ def test_a_store_has_the_keys_as_dimensions_and_is_gone_on_with(tmp_path, simula
         again.dataset().drop_vars(costs).drop_attrs(deep=False),
         whole.dataset().drop_vars(costs).drop_attrs(deep=False),
     )
+
+
+def test_a_store_takes_more_runs(tmp_path, simulations):
+    few, folder = study(*OVER, runs=5), tmp_path / "a"
+    running.run(few, out=folder, batch_size=2)
+    simulations.clear()
+    more = running.run(study(*OVER), out=folder, resume=True)
+    assert simulations == [2, 2]  # in each group the batch that was a part of one
+    whole = running.run(study(*OVER), out=tmp_path / "b", batch_size=2)
+    xarray.testing.assert_identical(
+        open_study(folder).drop_vars("cpu_time").load(),
+        open_study(tmp_path / "b").drop_vars("cpu_time").load(),
+    )
+    assert more.runs == whole.runs == tuple(range(6))
+    with pytest.raises(StoreError, match="is of another study"):
+        running.run(few, out=folder, resume=True)
 
 
 def test_shares_fill_one_store(tmp_path, simulations):

@@ -1,0 +1,179 @@
+"""The missing runs of an experiment computed and stored, and the results of all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from estbench.bounds import scenario as bounds
+from estbench.consistency.fields import Record
+from estbench.consistency.records import merge
+from estbench.consistency.summary import summarize
+from estbench.errors import Interrupted, StoreError
+from estbench.experiment.setup import Setup
+from estbench.montecarlo import dispatch
+from estbench.montecarlo.dispatch import Progress, Say
+from estbench.montecarlo.pool import Pool
+from estbench.montecarlo.results import Results
+from estbench.store.zarr import Store, divided
+
+Done = dict[int, dict[str, Record]]
+"""Number of a finished batch -> label -> its summary record."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the runs of an experiment are computed, and where they are kept.
+
+    Attributes:
+        using: the workers.
+        size: runs of a batch; a store that is continued has its own.
+        level: what a new store keeps of each run: `summary`, `diagonal` or `full`.
+        dtype: of its traces.
+        out: folder of the store; None writes nothing.
+        wanted: level and type that a store must have, None for any.
+        resume: whether the store may exist.
+        shard: (i, n) computes the i-th of n shares of the batches.
+        progress, say: as for `estbench.run`.
+        notices: about a new store.
+    """
+
+    using: Pool
+    size: int
+    level: str
+    dtype: str = "float64"
+    out: Path | None = None
+    wanted: tuple[str | None, str | None] = (None, None)
+    resume: bool = False
+    shard: tuple[int, int] | None = None
+    progress: Progress | None = None
+    say: Say | None = None
+    notices: tuple[str, ...] = field(default=())
+
+
+def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
+    """Compute the runs that are missing.
+
+    Args:
+        prepared: the experiment; it says how many runs there are.
+        plan: how.
+        done: batches of the same size that are finished, of this process; new ones are added.
+
+    Raises:
+        EstbenchError: the store cannot be written, or no batch can be computed.
+    """
+    if plan.out is None:
+        batches = divided(prepared.scenario.simulation.runs, plan.size)
+        wanted = {i: runs for i, runs in enumerate(batches) if i not in done}
+        done, failed, interrupted = dispatch.compute(
+            prepared, wanted, plan.level, plan.using, None, done, plan.progress
+        )
+        return _collect(prepared, batches, done, failed, None, interrupted)
+    target = _open(plan.out, prepared, plan)
+    with target.lock(plan.shard):
+        corrupted = _read(target, done)
+        every = range(len(target.batches)) if plan.shard is None else _share(target, plan.shard)
+        wanted = {i: target.batches[i] for i in every if i not in done}
+        mixed = target.sign(writing=bool(wanted))
+        if mixed and wanted and plan.say is not None:
+            plan.say(mixed)
+        try:
+            done, failed, interrupted = dispatch.compute(
+                prepared, wanted, target.keep, plan.using, target, done, plan.progress
+            )
+            if interrupted:  # a worker may have written a batch and not reported it
+                _read(target, done)
+        finally:
+            if not done and plan.shard is None:
+                target.discard()
+    again = [i for i in corrupted if i in wanted]
+    return _collect(
+        prepared, target.batches, done, failed, target, interrupted,
+        [
+            *(plan.notices if target.keep == plan.level else ()),
+            *([mixed] if mixed else ()),
+            *(f"{name} was damaged and has been written again" for name in target.restored),
+            *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
+        ],
+    )  # fmt: skip
+
+
+def _open(folder: Path, prepared: Setup, plan: Plan) -> Store:
+    """A new store, or the resumed one; of several shards the first makes it."""
+    if (plan.resume or plan.shard is not None) and folder.exists():
+        return Store.reopen(folder, prepared, *plan.wanted)
+    try:
+        return Store.create(folder, prepared, plan.level, plan.size, plan.dtype)
+    except StoreError:
+        if plan.shard is None or not folder.exists():
+            raise
+        return Store.reopen(folder, prepared, *plan.wanted)
+
+
+def _share(target: Store, shard: tuple[int, int]) -> range:
+    return range(shard[0] - 1, len(target.batches), shard[1])
+
+
+def _read(target: Store, done: Done) -> list[int]:
+    """Add the finished batches of a store that are not known; the numbers of the corrupted ones."""
+    corrupted = []
+    for index in range(len(target.batches)):
+        if index not in done and target.finished(index):
+            found = target.read(index)
+            if found is None:
+                corrupted.append(index)
+            else:
+                done[index] = found
+    return corrupted
+
+
+def _collect(
+    prepared: Setup,
+    batches: Sequence[range],
+    done: dict[int, dict[str, Record]],
+    failed: dict[int, Exception],
+    target: Store | None,
+    interrupted: bool,
+    notices: Sequence[str] = (),
+) -> Results:
+    """The results of the finished batches."""
+    if not done and failed:
+        raise next(iter(failed.values()))
+    if not done:
+        raise Interrupted("interrupted before the first batch was finished: there is no result")
+    order = sorted(done)
+    runs = [run for i in order for run in batches[i]]
+    merged = {
+        label: merge([done[i][label] for i in order]) for label in prepared.scenario.estimators
+    }
+    section = prepared.scenario.consistency
+    return Results(
+        scenario=prepared.scenario,
+        names=prepared.space.names,
+        units=prepared.space.units,
+        times=prepared.times,
+        steps=sum(instant.control for instant in prepared.instants),
+        runs=tuple(runs),
+        summaries=tuple(
+            summarize(
+                label,
+                record,
+                runs,
+                prepared.times,
+                section,
+                prepared.space.names,
+                tuple(prepared.channel_spaces),
+                prepared.scenario.contact,
+            )
+            for label, record in merged.items()
+        ),
+        records=merged,
+        notices=(
+            *prepared.notices,
+            *bounds.notices(prepared),
+            *notices,
+            *dispatch.missing(batches, failed),
+        ),
+        folder=target.folder if target is not None else None,
+        interrupted=interrupted,
+        failed=len(failed),
+    )
