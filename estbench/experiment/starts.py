@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError
-from estbench.robots import contacts
+from estbench.robots import contacts, overlaps
 from estbench.robots.feasible import has_equalities
 from estbench.robots.held import held
 from estbench.scenario.schema import InitialSection, Scenario
@@ -56,6 +56,9 @@ def build(
             f"the start itself violates constraints: x̂₀ is moved, {space.names[worst]} by "
             f"{moved[worst]:.3g} {space.units[worst]}"
         )
+    deep = overlaps.overlaps(model, initial.mean)
+    if deep:
+        notices.append(overlaps.note(deep))
     return initial, mean, cov
 
 

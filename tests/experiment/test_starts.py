@@ -54,3 +54,16 @@ def test_a_start_off_the_constraints_is_moved_with_a_notice(robot):
     made = prepared(robot, "initial.qpos=[0.0, 0.2, 0.1]")
     assert any("the start itself violates" in line for line in made.notices)
     assert first in made.space.names
+
+
+def test_parts_that_overlap_in_the_pose_of_the_file_are_named(tmp_path):
+    """Two fingers of a gripper, 30 mm deep in each other; excluded, nothing is said."""
+    finger = '<body name="{0}" pos="{1} 0 1"><joint name="{0}" axis="0 1 0"/>{2}</body>'
+    geoms = ['<geom size="0.02"/>', '<geom name="pad" size="0.02"/>']
+    bodies = "".join(finger.format(*row) for row in zip("ab", (0, 0.01), geoms, strict=True))
+    mjcf = "<mujoco>{}<worldbody>" + bodies + "</worldbody></mujoco>"
+    path = tmp_path / "gripper.xml"
+    path.write_text(mjcf.format(""))
+    assert "geom0 and pad overlap at the start, by up to 30.0 mm" in str(prepared(path).notices)
+    path.write_text(mjcf.format('<contact><exclude body1="a" body2="b"/></contact>'))
+    assert "overlap" not in str(prepared(path).notices)
