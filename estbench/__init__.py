@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from estbench.robots.model import MujocoModel
     from estbench.scenario.load import load
     from estbench.scenario.schema import Scenario
+    from estbench.sensitivities.sensitivity import sensitivity
     from estbench.smoothers.estimators import MAP, RTS, URTS
     from estbench.store.zarr import open_results
     from estbench.study.store import open_study
@@ -103,6 +104,7 @@ __all__ = [
     "posterior_bound",
     "replay",
     "run",
+    "sensitivity",
     "sweep",
     "tune",
 ]
@@ -136,6 +138,7 @@ _MODULES = {
     "robots.model": ("MujocoModel",),
     "scenario.load": ("load",),
     "scenario.schema": ("Scenario",),
+    "sensitivities.sensitivity": ("sensitivity",),
     "smoothers.estimators": ("MAP", "RTS", "URTS"),
     "store.zarr": ("open_results",),
     "study.store": ("open_study",),

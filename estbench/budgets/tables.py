@@ -1,15 +1,12 @@
 """An error budget as tables, CSV and JSON."""
 
-import json
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from estbench.budgets.result import TOGETHER, Budget
 from estbench.consistency.intervals import Interval
-from estbench.shapes import Array
 from estbench.tables import writers
 from estbench.tables.columns import Column, Table
 from estbench.tables.quantity import number, quantity
@@ -160,19 +157,7 @@ def to_csv(budget: Budget, coordinates: Sequence[int]) -> str:
 def to_json(budget: Budget, coordinates: Sequence[int]) -> str:
     """All numbers; those over time included."""
     found = budget.dataset().isel(coordinate=list(coordinates))
-    data = {name: _plain(v.values) for name, v in found.data_vars.items()}
-    coords = {name: np.asarray(v.values).tolist() for name, v in found.coords.items()}
-    dims = {str(name): list(v.dims) for name, v in found.data_vars.items()}
-    return json.dumps(
-        {**found.attrs, "coordinates": coords, "dimensions": dims, "values": data}, indent=2
-    )
-
-
-def _plain(values: Array) -> Any:
-    """Numbers of JSON, which has no NaN."""
-    out = np.asarray(values, object)
-    out[~np.isfinite(values)] = None
-    return out.tolist()
+    return writers.json_of_dataset(found)
 
 
 def _root(x: float) -> float:

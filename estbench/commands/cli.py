@@ -26,6 +26,7 @@ from estbench.commands import (
     replay,
     report,
     run,
+    sensitivity,
     sensors,
     sweep,
     tune,
@@ -84,6 +85,7 @@ for command in (
     tune,
     explain,
     budget,
+    sensitivity,
     observability,
     design,
 ):

@@ -43,8 +43,8 @@ def default_keep(prepared: setup.Setup, dtype: str = "float64") -> str:
     return "diagonal" if trace_bytes(prepared, dtype) <= TRACES_BYTES else "summary"
 
 
-def default_batch_size(prepared: setup.Setup, keep: str) -> int:
-    """Runs per batch: what fits the memory, at most 250 (caches), else a quarter of the runs.
+def default_batch_size(prepared: setup.Setup, keep: str, parts: int = 4) -> int:
+    """Runs per batch: what fits the memory, at most 250 (caches), else a part of the runs.
 
     The memory is `BATCH_BYTES` of traces and `WORKING_BYTES` of an instant.
 
@@ -53,7 +53,7 @@ def default_batch_size(prepared: setup.Setup, keep: str) -> int:
     runs = prepared.scenario.simulation.runs
     most = BATCH_BYTES // run_bytes(prepared, keep)
     most = min(most, WORKING_BYTES // working_bytes(prepared))
-    return int(np.clip(most, 1, min(250, max(10, -(-runs // 4)))))
+    return int(np.clip(most, 1, min(250, max(10, -(-runs // parts)))))
 
 
 def run_bytes(prepared: setup.Setup, keep: str) -> int:

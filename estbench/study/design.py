@@ -1,7 +1,7 @@
 """A study: a scenario, the varied keys, its variants, and which of them share one truth."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -30,7 +30,7 @@ class Study:
 
     Attributes:
         scenario: as resolved; its estimators run in every variant.
-        axes: the varied keys.
+        axes: the varied keys; a variant leaves a key whose value is None as it is.
         grid: whether every value meets every other; else the keys vary together, one variant per
             point.
     """
@@ -62,12 +62,15 @@ class Study:
         Raises:
             StudyError: a key does not exist, or a value does not fit it.
         """
-        names = [axis.names for axis in self.axes]
         for axis in self.axes:
             _check_free(self, axis)
         values = (axis.values for axis in self.axes)
         rows = itertools.product(*values) if self.grid else zip(*values)
-        return tuple(keys.changed(self.scenario, dict(zip(names, row))) for row in rows)
+        return tuple(keys.changed(self.scenario, self._changes(row)) for row in rows)
+
+    def _changes(self, row: Iterable[Any]) -> dict[keys.Names, Any]:
+        """Key -> value of one variant, without the keys that it leaves as they are."""
+        return {axis.names: v for axis, v in zip(self.axes, row) if v is not None}
 
     @cached_property
     def groups(self) -> tuple[NDArray[np.int64], ...]:

@@ -53,22 +53,16 @@ class Findings:
     @cached_property
     def summaries(self) -> tuple[dict[str, Summary], ...]:
         """For each variant, label -> summary."""
-        return tuple(
-            {
-                label: summarize(
-                    label,
-                    record,
-                    self.runs,
-                    times,
-                    scenario.consistency,
-                    self.names,
-                    self.channels,
-                    scenario.contact,
-                )
-                for label, record in records.items()
-            }
-            for scenario, times, records in zip(self.study.variants, self.times, self.records)
-        )
+        every = range(len(self.records))
+        return tuple({label: self.summary(i, label) for label in self.records[i]} for i in every)
+
+    def summary(self, variant: int, label: str) -> Summary:
+        """The summary of one estimator of one variant."""
+        scenario = self.study.variants[variant]
+        return summarize(
+            label, self.records[variant][label], self.runs, self.times[variant],
+            scenario.consistency, self.names, self.channels, scenario.contact,
+        )  # fmt: skip
 
     def dataset(self) -> xr.Dataset:
         """Statistics with the varied keys and the estimator as dimensions.

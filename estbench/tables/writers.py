@@ -5,9 +5,12 @@ A table without columns is the heading of a section.
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+import xarray as xr
 from rich.console import Console, RenderableType
 from rich.text import Text
 
@@ -98,3 +101,20 @@ _LATEX = {
 def escape(text: str) -> str:
     """Text for LaTeX."""
     return "".join(_LATEX.get(c, c) for c in text)
+
+
+def json_of_dataset(found: xr.Dataset) -> str:
+    """The attributes, coordinates, dimensions and values of a Dataset; null where not finite."""
+    data = {name: _plain(v.values) for name, v in found.data_vars.items()}
+    coords = {name: np.asarray(v.values).tolist() for name, v in found.coords.items()}
+    dims = {str(name): list(v.dims) for name, v in found.data_vars.items()}
+    return json.dumps(
+        {**found.attrs, "coordinates": coords, "dimensions": dims, "values": data}, indent=2
+    )
+
+
+def _plain(values: Any) -> Any:
+    """Numbers of JSON, which has no NaN."""
+    out = np.asarray(values, object)
+    out[~np.isfinite(values)] = None
+    return out.tolist()

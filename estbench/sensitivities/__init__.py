@@ -1,0 +1,1 @@
+"""Sensitivity: how much each number that a filter believes, or that the robot has, matters."""
