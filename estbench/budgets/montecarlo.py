@@ -6,19 +6,21 @@ cause each by itself does not add up to the whole where the estimator is not lin
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from estbench.budgets.sources import CONDITIONS, Source, grouped, sources
 from estbench.budgets.switches import without
 from estbench.consistency.intervals import Interval, mean_interval, positive_mean_interval
-from estbench.errors import Interrupted, StudyError
+from estbench.errors import Interrupted
+from estbench.experiment import recording
 from estbench.experiment.prepared import Setup
 from estbench.montecarlo import batch, executors
 from estbench.montecarlo.dispatch import Progress
 from estbench.montecarlo.pool import work_off
 from estbench.shapes import Array, Float
-from estbench.study.evaluation import evaluate, simulated
+from estbench.study.evaluation import simulated
 
 Key = tuple[str, str]
 """`alone` or `without` and the name of a source; `all` and nothing."""
@@ -32,11 +34,13 @@ class Sampled:
     Attributes:
         sources: those that add an error, then the conditions.
         mse: of each variant, time averages `(run, n)`.
+        over_time: of each variant, mean over the runs that did not fail `(time, n)`.
         level: of the intervals.
     """
 
     sources: tuple[Source, ...]
     mse: dict[Key, Float[Array, "run n"]]
+    over_time: dict[Key, Float[Array, "time n"]]
     level: float
 
     @property
@@ -84,7 +88,7 @@ def sampled(
         progress: called with the count of finished runs of variants, and of all.
 
     Raises:
-        StudyError: the estimator fails in a variant.
+        EstbenchError: the estimator fails in a variant.
         Interrupted: Ctrl-C came.
     """
     every = sources(setup, label)
@@ -99,19 +103,20 @@ def sampled(
     count = setup.scenario.simulation.runs
     size = min(batch.default_batch_size(setup, "summary"), count)
     tasks = [(key, at) for key in variants for at in range(0, count, size)]
-    found: dict[tuple[Key, int], Array] = {}
+    found: dict[tuple[Key, int], _Squares] = {}
     errors: list[Exception] = []
 
-    def finished(task: tuple[Key, int], mse: Array) -> None:
-        found[task] = mse
+    def finished(task: tuple[Key, int], squares: _Squares) -> None:
+        found[task] = squares
         if progress is not None:
-            progress(sum(map(len, found.values())), count * len(variants))
+            done = sum(len(part.mse) for part in found.values())
+            progress(done, count * len(variants))
 
     def work(
         task: tuple[Key, int], stop: Callable[[], bool], prepared: Sequence[int]
-    ) -> Array | None:
+    ) -> _Squares | None:
         key, start = task
-        return _mse(variants[key], label, range(start, min(start + size, count)), stop)
+        return _squares(variants[key], label, range(start, min(start + size, count)), stop)
 
     using = executors.pool("threads", executors.worker_count(workers))
     stopped = work_off(work, tasks, using, (), finished, lambda _, error: errors.append(error))
@@ -119,20 +124,37 @@ def sampled(
         raise Interrupted("interrupted before all variants were finished: there is no result")
     if errors:
         raise errors[0]
-    mse = {
-        key: np.concatenate([found[key, at] for at in range(0, count, size)]) for key in variants
+    parts_of = {key: [found[key, at] for at in range(0, count, size)] for key in variants}
+    mse = {key: np.concatenate([part.mse for part in own]) for key, own in parts_of.items()}
+    over_time = {
+        key: np.sum([part.total for part in own], axis=0) / max(1, sum(part.good for part in own))
+        for key, own in parts_of.items()
     }
-    return Sampled(parts, mse, setup.scenario.consistency.level)
+    return Sampled(parts, mse, over_time, setup.scenario.consistency.level)
 
 
-def _mse(
+class _Squares(NamedTuple):
+    """Squared errors of one variant on some runs.
+
+    Attributes:
+        mse: averages over time; NaN for runs that failed.
+        total: sums over the runs that did not fail.
+        good: how many these are.
+    """
+
+    mse: Float[Array, "run n"]
+    total: Float[Array, "time n"]
+    good: int
+
+
+def _squares(
     setup: Setup, label: str, runs: Sequence[int], stop: Callable[[], bool]
-) -> Float[Array, "run n"] | None:
-    """Time averages of the squared errors of one variant; NaN for runs that failed."""
-    found = evaluate([setup], runs, simulated(setup, runs), stop, bounded=False)
+) -> _Squares | None:
+    """The squared errors of one variant; None when stopped."""
+    found = recording.estimated(setup, label, runs, simulated(setup, runs), stop=stop)
     if found is None:
         return None
-    outcome = found[0][label]
-    if isinstance(outcome, str):
-        raise StudyError(outcome)
-    return outcome["mse"]
+    square = found[0].error ** 2
+    counted = (setup.times > setup.scenario.consistency.burn_in) & (setup.times > 0)
+    good = np.isfinite(square).all(axis=(0, 2))
+    return _Squares(square[counted].mean(axis=0), square[:, good].sum(axis=1), int(good.sum()))

@@ -72,6 +72,12 @@ class Budget:
         none = np.full((len(self.times), len(self.names)), np.nan)
         return np.sum(parts, axis=0) if parts else none
 
+    def sampled_over_time(self, source: Source | None) -> Float[Array, "time n"]:
+        """The same by Monte Carlo, of all sources for None; NaN where there is none."""
+        key = ("all", "") if source is None else ("alone", source.name)
+        none = np.full((len(self.times), len(self.names)), np.nan)
+        return none if self.sampled is None else self.sampled.over_time.get(key, none)
+
     @property
     def settled(self) -> Any:
         """The times over which the averages are."""
@@ -108,7 +114,7 @@ class Budget:
 
         `variance`, `share` and `std` are averages over time; `variance_over_time`, `believed` and
         `total` are linear; `alone`, `without` and `rest`, with `_low` and `_high`, are those of the
-        Monte Carlo.
+        Monte Carlo, as are `alone_over_time` and `sampled_over_time`.
         """
         found: dict[str, Any] = {
             "variance": (("source", "coordinate"), [self.contribution(s) for s in self.sources]),
@@ -143,7 +149,11 @@ class Budget:
                                  for s in self.sources]),
             "without": ("removed", [_ends(sampled.removed(s)) for s in sampled.sources]),
         }  # fmt: skip
-        out: dict[str, Any] = {}
+        out: dict[str, Any] = {
+            "alone_over_time": (("source", "time", "coordinate"),
+                                [self.sampled_over_time(s) for s in self.sources]),
+            "sampled_over_time": (("time", "coordinate"), self.sampled_over_time(None)),
+        }  # fmt: skip
         for i, suffix in enumerate(("", "_low", "_high")):
             for name, (dim, values) in tables.items():
                 out[name + suffix] = ((dim, "coordinate"), np.array(values)[..., i])

@@ -28,7 +28,7 @@ def build(budget: Budget, coordinates: Sequence[int], over_time: bool = False) -
     tables = [_shares(budget, coordinates)]
     if budget.sampled is not None:
         tables.append(_compared(budget, coordinates))
-    if over_time and budget.linear is not None:
+    if over_time:
         tables += [_over_time(budget, i) for i in coordinates]
     return tables
 
@@ -122,14 +122,18 @@ def _compared(budget: Budget, coordinates: Sequence[int]) -> Table:
 
 
 def _over_time(budget: Budget, c: int) -> Table:
-    assert budget.linear is not None
+    """Averages over intervals of time; by Monte Carlo where there is no linear budget."""
     shown, _ = _order(budget, [c])
     edges = np.linspace(0.0, budget.times[-1], BLOCKS + 1)
     slack = 1e-9 * budget.times[-1]
     members = [(budget.times > a + slack) & (budget.times <= b + slack) for a, b in pairwise(edges)]
-    columns = [(budget.sources[i].name, budget.over_time(budget.sources[i])[:, c]) for i in shown]
-    columns.append(("all", budget.linear.total[:, c]))
-    columns.append(("believed", budget.linear.believed[:, c]))
+    of = budget.over_time if budget.linear is not None else budget.sampled_over_time
+    columns = [(budget.sources[i].name, of(budget.sources[i])[:, c]) for i in shown]
+    if budget.linear is not None:
+        columns.append(("all", budget.linear.total[:, c]))
+        columns.append(("believed", budget.linear.believed[:, c]))
+    if budget.sampled is not None:
+        columns.append(("all, by runs", budget.sampled_over_time(None)[:, c]))
     groups = tuple(
         (Column(name, tuple(_sigma(values[m].mean()) if m.any() else "–" for m in members)),)
         for name, values in columns

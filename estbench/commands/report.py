@@ -32,11 +32,14 @@ def report(
     video: Annotated[
         bool, typer.Option(help="embed the best and the worst run, if this machine can draw")
     ] = True,
+    budget: Annotated[
+        bool, typer.Option("--budget", help="the error budget of each estimator too, some seconds")
+    ] = False,
 ) -> None:
     """Write one HTML file with all tables and figures; it opens offline."""
     from estbench.report.html import write_report
 
-    path = write_report(folders, out, estimator or (), video, say)
+    path = write_report(folders, out, estimator or (), video, say, budget)
     print(f"written to {path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 

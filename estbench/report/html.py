@@ -15,8 +15,8 @@ from estbench.consistency import statistics
 from estbench.consistency.statistics import LAG_ONE
 from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.inference.lags import LAGS
-from estbench.report import contact, facts, pictures, tables
-from estbench.report.figures import data, palette, traces
+from estbench.report import budgets, contact, facts, pictures, tables
+from estbench.report.figures import data, palette, shares, traces
 from estbench.report.figures.drawing import Drawing, Material
 from estbench.report.figures.figures import drawings
 from estbench.report.sources import Entry, load
@@ -37,9 +37,11 @@ NAMED = 6
 SECTIONS = (
     ("verdicts", "Verdicts"), ("scenario", "Scenario"), ("comparison", "Comparison"),
     ("error", "Error"), ("consistency", "Consistency"), ("rmse", "RMSE"),
-    ("coverage", "Coverage"), ("correlation", "Autocorrelation"), ("diverged", "Diverged"),
-    ("cost", "Cost"),
+    ("coverage", "Coverage"), ("correlation", "Autocorrelation"), ("budget", "Error budget"),
+    ("diverged", "Diverged"), ("cost", "Cost"),
 )  # fmt: skip
+OPTIONAL = ("error", "coverage", "correlation", "budget")
+"""Sections that are there only with their figures."""
 Say = Callable[[str], None]
 
 
@@ -49,6 +51,7 @@ def write_report(
     estimators: Sequence[str] = (),
     video: bool = True,
     say: Say = lambda line: None,
+    budget: bool = False,
 ) -> Path:
     """Write the report of results folders.
 
@@ -58,6 +61,7 @@ def write_report(
         estimators: labels to show; default all.
         video: whether to embed clips of the best and of the worst run, if they can be drawn.
         say: called with a line about each slow part.
+        budget: whether to compute the error budget of each estimator, some seconds each.
 
     Returns:
         The file.
@@ -69,7 +73,7 @@ def write_report(
         check_file(Path(out))
     entries = load(folders, estimators)
     path = Path(out) if out is not None else Path(folders[0]) / "report.html"
-    page = render(entries, video, say)
+    page = render(entries, video, say, budget)
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
@@ -77,7 +81,12 @@ def write_report(
     return path
 
 
-def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line: None) -> str:
+def render(
+    entries: Sequence[Entry],
+    video: bool = True,
+    say: Say = lambda line: None,
+    budget: bool = False,
+) -> str:
     """The page as text."""
     of_traces = []
     for entry in entries:
@@ -85,6 +94,8 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         of_traces.append(traces.statistics(entry))
     material = Material(entries, of_traces)
     figures = drawings(material)
+    of_sources = budgets.budgets(entries, say) if budget else []
+    figures["budget"] = shares.drawings(of_sources)
     has_traces = any(of_traces)
     runs, points = traces.run_points(entries)
     chosen = data.choose_runs(entries, runs) if has_traces else []
@@ -111,8 +122,9 @@ def render(entries: Sequence[Entry], video: bool = True, say: Say = lambda line:
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=estbench.__version__,
         notices=tables.notices(entries, of_traces),
-        sections=[s for s in SECTIONS if s[0] not in ("error", "coverage", "correlation")
-                  or figures[s[0]]],
+        sections=[s for s in SECTIONS if s[0] not in OPTIONAL or figures[s[0]]
+                  or (s[0] == "budget" and of_sources)],
+        budgets=of_sources,
         entries=[tables.entry(material, i) for i in range(len(entries))],
         rmse=tables.rmse(entries),
         headings=[s.heading_in("report") for s in shown],

@@ -152,6 +152,9 @@ def test_what_estbench_budget_returns():
     total = data.alone.sum("source") + data.rest
     np.testing.assert_allclose(total, data.sampled_total)
     assert (data.alone_low < data.alone_high).all()
+    averages = data.alone_over_time[:, 1:].mean("time")
+    np.testing.assert_allclose(averages, data.alone)
+    np.testing.assert_allclose(data.sampled_over_time[1:].mean("time"), data.sampled_total)
     finer = replace(found, sampled=None, by_source=True).dataset()
     assert "initial.hinge" in finer.source.values
     only = estbench.budget("pendulum", "pf", monte_carlo=True, runs=2, duration=0.03, workers=1)

@@ -20,8 +20,9 @@ from estbench.consistency.nees import chi_square_band
 from estbench.consistency.records import SUMMARY
 from estbench.consistency.summary import summarize
 from estbench.consistency.verdict import Verdict
-from estbench.report import pairs, sources
+from estbench.report import budgets, pairs, sources
 from estbench.report.figures import data, innovations, traces
+from estbench.report.figures.shares import drawings as shares_of
 from estbench.report.html import render, write_report
 from estbench.report.tables import notices
 
@@ -385,3 +386,24 @@ def test_the_causes_stand_under_the_verdict(entries):
     assert 'class="causes"' not in render([consistent], video=False)
     del entry.source.records["ekf"]["scaled_square"]  # a store of an earlier version
     assert 'class="causes"' not in render([entry], video=False)
+
+
+def test_the_error_budget_of_each_estimator(entries):
+    """The shares of the table add up; an estimator without a gain has a reason in its place."""
+    entry = entries("bare")[0]
+    scenario = entry.source.scenario
+    pf = scenario.model_copy(update={"estimators": {**scenario.estimators, "pf": {}}})
+    other = replace(entry, key="pf", label="pf", source=replace(entry.source, scenario=pf))
+    page = render([entry], video=False, budget=True)
+    (none,) = budgets.budgets([other], lambda line: None)
+    rows = Tables(page).cells["table-budget-0"]
+    assert rows[0][0][0] == "source"
+    named = {row[0][0]: row[2][0] for row in rows[1:]}
+    assert {"encoder.noise", "gyro.noise", "initial", "process", "all"} <= named.keys()
+    shares = [float(v.rstrip("%")) for name, v in named.items() if "%" in v and name != "all"]
+    assert sum(shares) == pytest.approx(100.0, abs=0.3)
+    assert "ParticleFilter shows no gain" in none.reason
+    assert shares_of([none]) == []
+    drawn = page_data(page)["drawings"]
+    assert {"budget-0", "budget-0-0", "budget-0-1"} <= drawn.keys()
+    assert 'id="budget"' not in render([entry], video=False)

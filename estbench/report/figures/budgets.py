@@ -9,6 +9,7 @@ from estbench.budgets.result import Budget
 from estbench.errors import MissingExtraError
 from estbench.report.figures import palette
 from estbench.report.figures.paper import WIDTHS, write
+from estbench.shapes import Array
 
 try:
     from matplotlib.axes import Axes
@@ -16,6 +17,8 @@ try:
 except ImportError:
     raise MissingExtraError("matplotlib", "plot") from None
 
+POINTS = 25
+"""Of a Monte Carlo over time."""
 MOST = 6
 """Sources with a colour of their own, and coordinates with curves."""
 
@@ -23,8 +26,8 @@ MOST = 6
 def draw(budget: Budget, path: Path, coordinates: Sequence[int]) -> None:
     """Draw a budget into a file; its suffix is the format.
 
-    Above: the shares of the mean square error, a stacked bar for each coordinate. Below, where
-    there is a linear budget: σ by source over time, with what the filter believes.
+    Above: the shares of the mean square error, a stacked bar for each coordinate. Below: σ by
+    source over time, with what the filter believes; that of a Monte Carlo as points.
 
     Args:
         budget: to be drawn.
@@ -38,7 +41,7 @@ def _figure(budget: Budget, coordinates: list[int]) -> Figure:
     share = budget.share[:, coordinates]
     order = np.argsort(-np.abs(share).max(axis=1), kind="stable")
     named, others = order[:MOST].tolist(), order[MOST:].tolist()
-    curves = coordinates[:MOST] if budget.linear is not None else []
+    curves = coordinates[:MOST]
     rows = -(-len(curves) // 3)
     height = 0.9 + 0.24 * len(coordinates)
     figure = Figure(figsize=(WIDTHS[2], height + 1.5 * rows + 0.3), layout="constrained")
@@ -79,19 +82,33 @@ def _bars(
     if budget.linear is not None:  # of the curves below
         axes.plot([], [], color="black", lw=1.2, label="all")
         axes.plot([], [], color="black", lw=0.9, ls=":", label="believed")
+    if budget.sampled is not None:
+        axes.plot([], [], color="black", ls="none", marker=".", ms=3, label="all, by runs")
     axes.set_xlim(min(0.0, float(below.min())), max(100.0, float(left.max())))
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _curves(axes: Axes, budget: Budget, c: int, named: list[int]) -> None:
-    assert budget.linear is not None
-    for k, i in enumerate(named):
-        values = np.sqrt(np.maximum(budget.over_time(budget.sources[i])[:, c], 0.0))
-        style = palette.LINES[k % len(palette.LINES)]
-        axes.plot(budget.times, values, color=palette.colour(k), ls=style, lw=0.9)
-    axes.plot(budget.times, np.sqrt(budget.linear.total[:, c]), color="black", lw=1.2)
-    axes.plot(budget.times, np.sqrt(budget.linear.believed[:, c]), color="black", lw=0.9, ls=":")
+    lines = [(budget.over_time(budget.sources[i]), palette.colour(k),
+              palette.LINES[k % len(palette.LINES)], 0.9) for k, i in enumerate(named)]  # fmt: skip
+    if budget.linear is not None:
+        lines.append((budget.linear.total, "black", "-", 1.2))
+        lines.append((budget.linear.believed, "black", ":", 0.9))
+    for values, colour, style, width in lines:
+        axes.plot(budget.times, _root(values[:, c]), color=colour, ls=style, lw=width)
+    points = [(budget.sampled_over_time(budget.sources[i]), palette.colour(k))
+              for k, i in enumerate(named)]  # fmt: skip
+    points.append((budget.sampled_over_time(None), "black"))
+    some = slice(None, None, max(1, len(budget.times) // POINTS))
+    for values, colour in points:
+        axes.plot(budget.times[some], _root(values[some, c]), color=colour, ls="none", marker=".",
+                  ms=2)  # fmt: skip
     axes.set_yscale("log")
-    top = float(np.sqrt(budget.linear.total[:, c].max())) or 1.0
+    known = budget.sampled_over_time(None) if budget.linear is None else budget.linear.total
+    top = float(np.sqrt(np.nanmax(known[:, c]))) or 1.0
     axes.set_ylim(top / 300, 1.5 * top)
     axes.set_title(f"σ of {budget.names[c]} [{budget.units[c]}]", fontsize=7)
+
+
+def _root(variance: Array) -> Array:
+    return np.sqrt(np.maximum(variance, 0.0))
