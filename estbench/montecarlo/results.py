@@ -4,7 +4,7 @@ import json
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Group
 from rich.text import Text
@@ -29,6 +29,10 @@ from estbench.tables.cells import (
 )
 from estbench.tables.columns import Column, Table
 from estbench.tables.names import visible
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 WIDTH = 100
 NOTE_WIDTH = 90
@@ -157,6 +161,18 @@ class Results:
     def to_json(self) -> str:
         """`to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    def to_xarray(self) -> "xr.DataTree":
+        """What was kept of each run; see `labelled.to_xarray`."""
+        from estbench.montecarlo import labelled
+
+        return labelled.to_xarray(self)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """One row for each estimator and run; see `labelled.to_dataframe`."""
+        from estbench.montecarlo import labelled
+
+        return labelled.to_dataframe(self)
 
 
 def _plain(summary: Summary) -> dict[str, Any]:

@@ -1,14 +1,12 @@
 """Locks of a results folder, and removal of the files that killed writers left.
 
-One process that writes alone holds `.lock` exclusively. Processes that write one store by `--shard`
-hold it together, and each holds the lock of its own share. The system releases the locks of a
-process that dies.
+One process that writes alone holds `.lock`. Processes that write one store by `--shard` hold the
+lock of their own share each, while nobody holds `.lock`. The system releases the locks of a process
+that dies; filelock has them on every system.
 """
 
 import contextlib
-import fcntl
 import glob
-import os
 import re
 import shutil
 import uuid
@@ -16,8 +14,32 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 Shard = tuple[int, int]
 """(i, n): the i-th of n shares, 1 <= i <= n; batch b is in share b mod n + 1."""
+
+
+def _lock(path: Path, wait: bool = False) -> FileLock:
+    """A lock of which each object is another holder; the file stays."""
+    return FileLock(
+        path, -1 if wait else 0, thread_local=False, fallback_to_soft=False, preserve_lock_file=True
+    )
+
+
+@contextmanager
+def _passing(path: Path) -> Iterator[None]:
+    """Hold a lock whose file goes with it.
+
+    The file is removed before the lock is released where the system allows it, as POSIX does;
+    Windows removes it after.
+    """
+    with FileLock(path, 0, thread_local=False, fallback_to_soft=False):
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 @contextmanager
@@ -28,13 +50,20 @@ def held(folder: Path, shard: Shard | None) -> Iterator[None]:
         BlockingIOError: another process holds it.
         OSError: the file system cannot lock.
     """
+    alone, others = _lock(folder / ".lock"), sorted(folder.glob(".lock-*-of-*"))
     with contextlib.ExitStack() as stack:
-        names = [(".lock", fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)]
-        if shard is not None:
-            names.append((_share(shard), fcntl.LOCK_EX))
-        for name, mode in names:
-            file = stack.enter_context((folder / name).open("w"))
-            fcntl.flock(file, mode | fcntl.LOCK_NB)
+        try:
+            # One after the other, so that no process finds what another one only tries.
+            with briefly(folder):
+                if shard is None:
+                    stack.enter_context(alone)
+                    for path in others:
+                        _lock(path).acquire().lock.release()
+                else:
+                    alone.acquire().lock.release()
+                    stack.enter_context(_lock(folder / _share(shard)))
+        except Timeout as error:
+            raise BlockingIOError(f"{error.lock_file} is held") from None
         yield
 
 
@@ -45,8 +74,7 @@ def briefly(folder: Path) -> Iterator[None]:
     Raises:
         OSError: the file system cannot lock.
     """
-    with (folder / ".lock-attributes").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with _lock(folder / ".lock-attributes", wait=True):
         yield
 
 
@@ -79,29 +107,23 @@ def draft(folder: Path) -> Path:
 
     A living writer holds the lock of its draft (`building`), which is not removed.
     """
-    for old in folder.parent.glob(f".{glob.escape(folder.name)}.{'[0-9a-f]' * 8}"):
-        with contextlib.suppress(OSError), (old / _DRAFT).open("r+") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(old)
+    for lock in folder.parent.glob(f".{glob.escape(folder.name)}.{'[0-9a-f]' * 8}.lock"):
+        with contextlib.suppress(OSError), _passing(lock):
+            shutil.rmtree(lock.with_suffix(""), ignore_errors=True)
     return folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}"
 
 
 @contextmanager
 def building(draft: Path) -> Iterator[None]:
-    """Make a draft, and lock it so that no other process removes it.
+    """Make a draft, and hold the lock beside it, so that no other process removes it.
 
     Raises:
         OSError: it cannot be made, or the file system cannot lock.
     """
-    draft.mkdir(parents=True)
-    with (draft / ".lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        # Renamed while locked: no process finds the lock of a living draft free.
-        os.rename(file.name, draft / _DRAFT)
+    draft.parent.mkdir(parents=True, exist_ok=True)
+    with _passing(draft.with_name(f"{draft.name}.lock")):
+        draft.mkdir()
         yield
-
-
-_DRAFT = ".lock-draft"
 
 
 def _share(shard: Shard) -> str:
