@@ -1,7 +1,8 @@
 """Gymnasium environments whose policy sees the estimate.
 
 Importing this registers `estbench/Pendulum-v0`, `CartPole-v0`, `Acrobot-v0`, `Quadrotor-v0` and
-`estbench/Scenario-v0`; from elsewhere, `gym.make("estbench.envs:estbench/CartPole-v0")`.
+`estbench/Scenario-v0`. Without an import, and in the workers of another library, the id is
+`estbench.envs:estbench/CartPole-v0`: gymnasium imports what stands before the colon.
 """
 
 from gymnasium.envs.registration import register, registry

@@ -144,3 +144,78 @@ def test_rotated_points_see_the_floor_that_those_on_fixed_axes_miss(monkeypatch,
     assert abs(rotated.mean()) < 4 * rotated.std() / np.sqrt(rotated_points.STEPS)
     rotated_points.main(str(tmp_path / "contact.png"))
     assert (tmp_path / "contact.png").stat().st_size > 1e4
+
+
+def test_a_learned_estimator_plugs_in(monkeypatch, tmp_path):
+    """With a network of zeros it is the last readings and their mean rate over the window."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    learned = importlib.import_module("learned_velocity")
+    window = np.zeros((2, learned.WINDOW, 3))
+    window[1, :, 0] = 0.02 * np.arange(learned.WINDOW)  # 2 m/s
+    np.testing.assert_allclose(learned.guess(window)[1], [0.3, 0.0, 2.0, 0.0])
+    size = learned.features(window).shape[1]
+    layers = np.zeros((8, size)), np.zeros(8), np.zeros((4, 8)), np.zeros(4)
+    np.savez(
+        tmp_path / "zero.npz",
+        factor=np.diag([0.01, 0.01, 0.2, 0.2]),
+        **{f"a{i}": layer for i, layer in enumerate(layers)},
+    )
+    results = experiment.run(
+        "cartpole", ["learned"], runs=10, duration=1.0,
+        overrides=['estimators.learned.type="learned_velocity:LearnedVelocity"',
+                   f'estimators.learned.weights="{tmp_path / "zero.npz"}"',
+                   "consistency.burn_in=0.2"],
+    )  # fmt: skip
+    # R of the encoders, and the mean rate is late by half a window.
+    assert rmse(results, "learned")[:2] == pytest.approx(0.01, rel=0.6)
+    assert (rmse(results, "learned")[2:] < 0.5).all()
+
+
+def test_a_learned_estimator_is_trained(monkeypatch, tmp_path):
+    pytest.importorskip("torch", reason="the example needs torch")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    learned = importlib.import_module("learned_velocity")
+    scenario = experiment.resolve("cartpole", runs=4, duration=1.0)
+    (tmp_path / "short.toml").write_text(scenario.to_toml())
+    files = learned.export(tmp_path / "short.toml", tmp_path / "logs")
+    layers, factor = learned.train(files, 2)
+    assert len(layers) == 4
+    assert (np.diag(factor) > 0).all()
+
+
+@pytest.mark.parametrize("name", ["wandb", "mlflow"])
+def test_trackers_get_progress_and_results(name, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    trackers = importlib.import_module("trackers")
+    logged = {}
+
+    class Fake:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def init(self, **_):
+            return self
+
+        def start_run(self, **_):
+            return self
+
+        def log_params(self, params):
+            logged.update(params)
+
+        def log_metric(self, key, value):
+            logged[key] = value
+
+        def log(self, values):
+            logged.update(values)
+
+        log_metrics = log
+
+    monkeypatch.setitem(sys.modules, name, Fake())
+    results = getattr(trackers, f"with_{name}")("pendulum", estimators=["ekf"], runs=3,
+                                                duration=0.1)  # fmt: skip
+    assert logged["runs"] == 3
+    assert logged["ekf/anees"] == pytest.approx(results.records["ekf"]["anees"].mean())
+    assert "ekf/rmse_hinge.vel" in logged

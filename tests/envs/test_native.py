@@ -2,6 +2,8 @@
 # pyright: reportOptionalSubscript=false, reportGeneralTypeIssues=false
 import json
 import pickle
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -227,3 +229,13 @@ def test_gymnasium_wrappers_compose():
     assert out[-1][3]
     assert out[-1][0].shape == (3, 2)
     assert out[-1][4]["episode"]["l"] == 20
+
+
+def test_an_id_that_needs_no_import_reaches_a_fresh_process():
+    """What a worker of SubprocVecEnv does: it unpickles the id and calls `gym.make`."""
+    code = (
+        "import gymnasium as gym\n"
+        "print(gym.make('estbench.envs:estbench/Pendulum-v0').reset(seed=0)[0].shape)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "(2,)\n", done.stderr[-2000:]
