@@ -1,5 +1,6 @@
 """The command `run`; what it needs is imported when it runs."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
@@ -20,6 +21,7 @@ from estbench.commands.shared import (
     say,
     shares,
 )
+from estbench.errors import LogError
 
 
 def register(app: typer.Typer) -> None:
@@ -86,9 +88,31 @@ def run(
             " /--no-bound", help="leave out the bound on the errors, and with it the efficiency"
         ),
     ] = True,
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE[,FILE]",
+            help="simulate under the controls and at the times of a recorded log, with the noise "
+            "that the filter believes, and lay the innovations of both side by side",
+        ),
+    ] = None,
+    hold_out: Annotated[
+        list[str] | None,
+        typer.Option(help="with --like: channel that is not fused; repeatable"),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="with --like: draw the spectra into this .png, .pdf or .svg"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate truth and sensors, run every estimator on them, and say what to think of it."""
+    if like is not None:
+        _like(scenario, like, estimator, runs, seed, overrides, hold_out, plot, as_json)
+        return
+    if hold_out or plot is not None:
+        option = "--hold-out" if hold_out else "--plot"
+        raise LogError(f"{option} needs --like LOG; without it see replay, plot and report")
     from estbench.scenario.load import resolve
 
     changes = [*(overrides or ()), *(() if bound else ("bound=false",))]
@@ -119,3 +143,38 @@ def run(
 def pair(text: str | None) -> tuple[str, str] | None:
     """`A,B` as a pair of labels; what is no pair is refused with the other mistakes of a rule."""
     return None if text is None else tuple(text.split(","))  # type: ignore[return-value]
+
+
+def _like(
+    scenario: str,
+    log: Path,
+    estimators: list[str] | None,
+    runs: int | None,
+    seed: int | None,
+    overrides: list[str] | None,
+    hold_out: list[str] | None,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """`--like`: runs like a log, compared with it; nothing is stored."""
+    from estbench.logs import likeness, likeness_results
+    from estbench.tables.destination import check_file
+
+    if plot is not None:
+        from estbench.report.figures import likeness as figures
+        from estbench.report.figures import paper
+
+        paper.check_format(plot)
+        check_file(plot)
+    changes = [*(overrides or ()), *(() if seed is None else (f"simulation.seed={seed}",))]
+    found = likeness.like(
+        scenario, str(log).split(","), estimators, hold_out=hold_out or (),
+        runs=likeness.RUNS if runs is None else runs, overrides=changes,
+    )  # fmt: skip
+    if as_json:
+        print(likeness_results.to_json(found))
+    else:
+        console().print(likeness_results.render(found))
+    if plot is not None:
+        figures.draw(found, plot)
+        say(f"drawn in {plot}")

@@ -38,6 +38,7 @@ class BiasFilter(OverAugmented):
         time_constant: correlation time of Gauss-Markov biases, s; 0 for constants and random walks.
         inputs: std of unknown additions to the controls at the start.
         input_walk: their random walk.
+        input_time_constant: correlation time of Gauss-Markov inputs, s; 0 for constants and walks.
         settings: settings of the base filter.
     """
 
@@ -47,6 +48,7 @@ class BiasFilter(OverAugmented):
     time_constant: PerName = 0.0
     inputs: PerName = 0.0
     input_walk: PerName = 0.0
+    input_time_constant: PerName = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     _augmented: Augmented = field(init=False, repr=False)
     _filter: Estimator = field(init=False, repr=False)
@@ -56,8 +58,9 @@ class BiasFilter(OverAugmented):
         table(self, "settings")
         try:
             augmented = Augmented.build(
-                self.model, self.bias, self.walk, self.time_constant, self.inputs, self.input_walk
-            )
+                self.model, self.bias, self.walk, self.time_constant, self.inputs,
+                self.input_walk, self.input_time_constant,
+            )  # fmt: skip
             filter = self._build(augmented)
         except ScenarioError as error:
             raise EstimatorError(f"{type(self).__name__}: {error}") from None

@@ -112,6 +112,7 @@ class Augmented:
         time_constant: PerName = 0.0,
         inputs: PerName = 0.0,
         input_walk: PerName = 0.0,
+        input_time_constant: PerName = 0.0,
     ) -> "Augmented":
         """Augment by patterns: a coordinate with a nonzero std in `bias` or `inputs` gets a bias.
 
@@ -123,6 +124,7 @@ class Augmented:
             time_constant: correlation time of each bias, s.
             inputs: std of the unknown added to each control.
             input_walk: intensity of the random walk of each input.
+            input_time_constant: correlation time of each input, s.
 
         Raises:
             ScenarioError: a pattern matches no name, or a value is negative.
@@ -130,14 +132,17 @@ class Augmented:
         names, controls = model.output().names, tuple(f"u{i}" for i in range(model.nu))
         settings = (bias, "bias"), (walk, "walk"), (time_constant, "time_constant")
         sensors = zip(names, *(expand(value, names, what).tolist() for value, what in settings))
-        settings = (inputs, "inputs"), (input_walk, "input_walk")
+        settings = (
+            (inputs, "inputs"), (input_walk, "input_walk"),
+            (input_time_constant, "input_time_constant"),
+        )  # fmt: skip
         unknown = zip(
             controls, *(expand(value, controls, what).tolist() for value, what in settings)
         )
         return cls(
             model,
             tuple(Bias(name, s, w, c) for name, s, w, c in sensors if s != 0),
-            tuple(Bias(name, s, w) for name, s, w in unknown if s != 0),
+            tuple(Bias(name, s, w, c) for name, s, w, c in unknown if s != 0),
         )
 
     @property
