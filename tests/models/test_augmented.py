@@ -51,14 +51,14 @@ def test_equations_of_the_augmented_model():
 
 def test_an_unknown_input_may_be_a_gauss_markov_process():
     """d⁺ = e^(-dt/τ) d ⊞ w, w ~ N(0, σ² (1 - e^(-2 dt/τ))): its variance stays σ²."""
-    model = Augmented.build(nonlinear_model(2), inputs=0.5, input_time_constant=0.2)
+    model = Augmented.build(nonlinear_model(4), inputs=0.5, input_time_constant=0.2)
     x, u, dt = np.ones((2, 5)), np.zeros((2, 1)), 0.1
     assert model.space.names[-1] == "input.u0"
     assert model.transition(x, u, 0.0, dt)[:, -1] == pytest.approx(np.exp(-0.5))
     variance = model.process_noise(x, u, 0.0, dt)[..., -1, -1]
     assert variance == pytest.approx(0.25 * (1 - np.exp(-1.0)))
     with pytest.raises(ScenarioError, match="both walk and time_constant"):
-        Augmented.build(nonlinear_model(2), inputs=0.5, input_walk=0.1, input_time_constant=0.2)
+        Augmented.build(nonlinear_model(4), inputs=0.5, input_walk=0.1, input_time_constant=0.2)
 
 
 def test_points_are_the_runs_one_by_one():
