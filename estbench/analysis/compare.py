@@ -13,7 +13,6 @@ from estbench.analysis.load import Stored, load_all
 from estbench.consistency.intervals import Interval, mean_interval
 from estbench.consistency.scores import inexact, score
 from estbench.errors import AnalysisError, StoreError
-from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 
 OWN = {"name", "description", "estimators", "filter", "consistency", "task", "bound"}
@@ -26,9 +25,12 @@ class Contest:
 
     Attributes:
         title: scenario, duration and seed.
+        truth: whether it is known. Without it the scores are negative log-likelihoods per component
+            of a reading, in place of logarithms of errors.
         stores: the folders.
         findings: one per estimator.
-        runs: numbers of the runs that all stores have finished; pairs and ranks are over these.
+        runs: numbers of the runs that all stores have finished; pairs and ranks are over these. Of
+            a log its parts.
         pairs: comparisons of the scores of all pairs.
         ranks: in order.
         nees: difference of NEES/n of each pair, over the runs in which neither diverged.
@@ -37,6 +39,7 @@ class Contest:
     """
 
     title: str
+    truth: bool
     stores: tuple[Stored, ...]
     findings: tuple[Findings, ...]
     runs: NDArray[np.int64]
@@ -104,7 +107,7 @@ def compare_stores(
             raise AnalysisError(f"{name} is {value:g}; use a number between 0 and 1")
     groups: dict[str, list[Stored]] = {}
     for stored in load_all(folders):
-        groups.setdefault(_same(stored.scenario), []).append(stored)
+        groups.setdefault(_same(stored), []).append(stored)
     level = next(iter(groups.values()))[0].level
     contests = tuple(_contest(members, level, margin, precision) for members in groups.values())
     return Comparison(contests, level, margin, precision)
@@ -116,28 +119,39 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         for s in stores
         for label in s.records
     ]
-    runs = stores[0].runs
-    for s in stores[1:]:
+    first, truth = stores[0], all(s.has_truth for s in stores)
+    runs = np.arange(len(findings[0].record["anis"])) if first.log else first.runs
+    for s in stores[1:] if first.log is None else ():
         runs = np.intersect1d(runs, s.runs)
     if not len(runs):
         raise StoreError(
             f"{', '.join(str(s.folder) for s in stores)} have no finished run in common; "
             "compare them one by one"
         )
-    rows = tuple(np.flatnonzero(np.isin(f.stored.runs, runs)) for f in findings)
+    rows = tuple(
+        runs if first.log else np.flatnonzero(np.isin(f.stored.runs, runs)) for f in findings
+    )
     scores, anees, likely, received = {}, {}, {}, {}
     compared = inexact([f.record for f in findings])
     for f, where in zip(findings, rows):
         lost = f.record["diverged"][where].astype(bool)
-        scores[f.key] = score(f.record["mse"][where][:, compared], lost)
+        scores[f.key] = (
+            score(f.record["mse"][where][:, compared], lost) if truth else _surprise(f, lost)
+        )
         anees[f.key] = np.where(lost, np.nan, f.record["anees"][where])
         likely[f.key] = np.where(lost, np.nan, _optional(f, "log_likelihood")[where])
         received[f.key] = _optional(f, "received")[where]
     pairs, ranks = compare(scores, level, margin)
-    simulation = stores[0].scenario.simulation
+    length = f"{first.times[-1]:g} s ({len(first.times) - 1} instants)"
+    seed = first.scenario.simulation.seed
     return Contest(
-        title=f"{stores[0].scenario.name}: {len(runs)} runs x {stores[0].times[-1]:g} s "
-        f"({len(stores[0].times) - 1} instants), seed {simulation.seed}",
+        title=f"{first.scenario.name}: "
+        + (
+            f"{first.origin}, {length}"
+            if first.log
+            else f"{len(runs)} runs x {length}, seed {seed}"
+        ),
+        truth=truth,
         stores=tuple(stores),
         findings=tuple(findings),
         runs=runs,
@@ -152,14 +166,27 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
     )
 
 
+def _surprise(f: Findings, lost: NDArray[np.bool_]) -> Array:
+    """The negative log-likelihood of each part of a log, per component of a reading."""
+    parts = len(f.record["received"])  # by which the log-likelihood of a part is multiplied
+    received = np.maximum(f.record["received"], 1)
+    return np.where(lost, np.inf, -f.record["log_likelihood"] / parts / received)
+
+
 def _optional(f: Findings, name: str) -> Array:
     """A variable of each run; NaN if the store is of an earlier version."""
-    values = f.record.get(name, np.full(len(f.stored.runs), np.nan))
+    values = f.record.get(name, np.full(len(f.record["anees"]), np.nan))
     return np.asarray(values, np.float64)
 
 
-def _same(scenario: Scenario) -> str:
+def _same(stored: Stored) -> str:
     """A text that is the same for two stores whose runs can be paired."""
-    dump = scenario.model_dump(mode="json", exclude=OWN)
+    if stored.log is not None:  # the same readings of one log; the models may differ
+        return repr({k: v for k, v in stored.log.items() if k != "files"} | {
+            "instants": len(stored.times), "channels": stored.channels,
+            "parts": len(next(iter(stored.samples.values()))["anis"]),
+            "burn_in": stored.scenario.consistency.burn_in,
+        })  # fmt: skip
+    dump = stored.scenario.model_dump(mode="json", exclude=OWN)
     del dump["simulation"]["runs"]
     return repr(dump)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from estbench.analysis.load import Stored
@@ -43,6 +42,7 @@ class Evidence:
         record: the variables of the runs that did not diverge.
         rare: share of the updates whose NIS is beyond the 1 - `RARE` quantile, over `RARE`, and the
             median of NIS over that of chi-square; None without traces.
+        components: names of the components of a reading, of a log.
     """
 
     label: str
@@ -53,6 +53,7 @@ class Evidence:
     spans: tuple[Block, ...]
     record: Record
     rare: tuple[float, float] | None = None
+    components: tuple[str, ...] = ()
 
     @property
     def runs(self) -> int:
@@ -109,7 +110,7 @@ def gather(stored: Stored, label: str) -> Evidence:
     if label not in stored.records:
         known = ", ".join(stored.records)
         raise AnalysisError(f"no estimator '{label}' in {stored.folder}; it has {known}")
-    record = stored.records[label]
+    record = stored.samples[label]
     missing = [name for name in NEEDED if name not in record]
     if missing:
         raise AnalysisError(
@@ -126,13 +127,14 @@ def gather(stored: Stored, label: str) -> Evidence:
         channels=tuple(map(str, np.asarray(stored.tree["channel"]))),
         spans=blocks(stored.times, stored.scenario.consistency.burn_in),
         record=per_run,
-        rare=_rare(stored, label, good),
+        rare=_rare(stored, label),
+        components=tuple(map(str, np.asarray(stored.tree["reading"]))) if stored.log else (),
     )
 
 
-def _rare(stored: Stored, label: str, good: NDArray[np.bool_]) -> tuple[float, float] | None:
+def _rare(stored: Stored, label: str) -> tuple[float, float] | None:
     """The tail and the middle of NIS against those of chi-square."""
-    group = stored.tree[label]
+    group, good = stored.tree[label], ~stored.records[label]["diverged"].astype(bool)
     if "nis" not in group or not good.any():
         return None
     done = np.isin(np.asarray(stored.tree["run"]), stored.runs)

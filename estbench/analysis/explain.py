@@ -77,6 +77,12 @@ def undecided(e: Evidence) -> Finding | None:
     judgement = e.summary.judgement
     if judgement.verdict is not Verdict.UNDECIDED:
         return None
+    if e.components:
+        return Finding(
+            "undecided",
+            "nothing is refuted, and the log is too short to show that the estimator is consistent",
+            "a longer log, or a larger `consistency.tolerance`",
+        )
     runs = f" (`--runs {judgement.needed}`)" if judgement.needed else ""
     return Finding(
         "undecided",
@@ -87,10 +93,11 @@ def undecided(e: Evidence) -> Finding | None:
 
 def unexplained(e: Evidence) -> Finding | None:
     """The verdict refutes something, and no rule says why."""
+    errors = f"NEES/n is {quantity(e.nees)}, " if e.summary.truth else ""
     lag = f", the lag-one correlation {quantity(e.lag_one)}" if sign(e.lag_one) else ""
     return Finding(
         "unexplained",
-        f"no cause is certain: NEES/n is {quantity(e.nees)}, NIS/m {quantity(e.nis)}{lag}",
+        f"no cause is certain: {errors}NIS/m is {quantity(e.nis)}{lag}",
         "`estbench report` shows when and in which coordinates",
     )
 

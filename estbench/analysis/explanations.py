@@ -23,12 +23,14 @@ class Explanation:
         verdict: in a word.
         reason: what failed, where, when and by how much; empty for a consistent estimator.
         findings: the causes that the evidence shows; none where nothing is wrong.
+        truth: whether the truth is known.
     """
 
     label: str
     verdict: str
     reason: str
     findings: tuple[Finding, ...]
+    truth: bool = True
 
 
 def explanations(folder: str | Path, labels: Sequence[str] = ()) -> list[Explanation]:
@@ -50,7 +52,9 @@ def of(stored: Stored, label: str) -> Explanation:
     """
     evidence = gather(stored, label)
     summary = evidence.summary
-    return Explanation(label, str(summary.verdict), summary.reason, tuple(explain(evidence)))
+    return Explanation(
+        label, str(summary.verdict), summary.reason, tuple(explain(evidence)), summary.truth
+    )
 
 
 def render(found: Sequence[Explanation]) -> Group:
@@ -58,7 +62,11 @@ def render(found: Sequence[Explanation]) -> Group:
     lines: list[Text | Padding] = []
     for e in found:
         lines.append(Text(f"{e.label}: {e.verdict}", style="bold"))
-        what = e.reason or "the errors are as large as the covariance says, the innovations white"
+        what = e.reason or (
+            "the errors are as large as the covariance says, the innovations white"
+            if e.truth
+            else "the innovations are as large as their covariance says, and white"
+        )
         lines.append(Padding(Text(what), (0, 0, 0, 2)))
         for finding in e.findings:
             lines.append(Padding(Text(finding.text), (0, 0, 0, 2)))

@@ -74,8 +74,8 @@ class Findings:
 
     @property
     def record(self) -> Record:
-        """Per-run and per-step arrays of the finished runs."""
-        return self.stored.records[self.label]
+        """Arrays of the finished runs, or of the parts of a log."""
+        return self.stored.samples[self.label]
 
 
 def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
@@ -87,7 +87,7 @@ def find(stored: Stored, label: str, key: str, precision: float) -> Findings:
         key: its name in the comparison.
         precision: wanted relative half-width of RMSE, and half-width of ANEES/n.
     """
-    record, level = stored.records[label], stored.scenario.consistency.level
+    record, level = stored.samples[label], stored.scenario.consistency.level
     good = ~record["diverged"].astype(bool)
     inside = inside_shares(record)
     anees = np.where(good, record["anees"], np.inf)

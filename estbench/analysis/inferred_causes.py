@@ -41,6 +41,19 @@ def bias(e: Evidence) -> Finding | None:
     )  # fmt: skip
 
 
+def offset(e: Evidence) -> Finding | None:
+    """The mean innovation of a component of a log is not zero."""
+    found = sorted(e.refuted(Kind.INNOVATION), key=lambda h: -abs(h.mean.value))
+    if not found:
+        return None
+    named = ", ".join(f"{e.components[h.coordinate or 0]} {h.mean.value:+.2g} σ" for h in found[:3])
+    return Finding(
+        "offset", f"the mean innovation of {named} is not zero",
+        "the offset of the channel (`log.channels.NAME.offset`), or its bias as a state "
+        "(`bias_ekf`); an axis with the wrong sign (`scale = -1`)",
+    )  # fmt: skip
+
+
 def outliers(e: Evidence) -> Finding | None:
     """NIS is beyond its 99.9% quantile far too often, while its median is nearly right.
 
@@ -65,7 +78,7 @@ def noise(e: Evidence) -> Finding | None:
     NEES/n where NIS/m is not refuted.
     """
     lag, size = sign(e.lag_one), _size(e)
-    if not lag and size < 0 and not below(e.nees):
+    if not lag and size < 0 and e.summary.truth and not below(e.nees):
         lag = -1  # white innovations of an infinite Q
     if not lag or not size:
         return None
@@ -165,4 +178,4 @@ def _unknown_biases(e: Evidence) -> list[str]:
     ]
 
 
-INFERRED: Sequence[Rule] = (bias, outliers, noise, unseen)
+INFERRED: Sequence[Rule] = (bias, offset, outliers, noise, unseen)

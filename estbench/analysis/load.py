@@ -9,8 +9,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from estbench.consistency import parts
 from estbench.consistency.fields import Record
-from estbench.consistency.records import SUMMARY
+from estbench.consistency.parts import summarize_log
+from estbench.consistency.records import INNOVATIONS, PARTS, SUMMARY
 from estbench.consistency.statistics import Summary
 from estbench.consistency.summary import summarize
 from estbench.errors import StoreError
@@ -40,9 +42,13 @@ class Stored:
         runs: numbers of the finished runs.
         total: count of runs requested.
         records: label -> per-run and per-step arrays, as `records.merge` gives them.
+        samples: label -> the record whose rows vary independently: that of the runs; of a log,
+            which is one run, that of its parts (`consistency.parts`).
         summaries: label -> summary.
         tree: the store, lazily read.
         batches: positions of the runs of each finished batch.
+        log: of a replay what it is from: files, channels that are held out, whether the truth is
+            known; None of simulated runs.
     """
 
     folder: Path
@@ -56,9 +62,26 @@ class Stored:
     runs: NDArray[np.int64]
     total: int
     records: dict[str, Record]
+    samples: dict[str, Record]
     summaries: dict[str, Summary]
     tree: xr.DataTree
     batches: tuple[slice, ...]
+    log: dict[str, Any] | None = None
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the true states are known, at least in part."""
+        return self.log is None or bool(self.log["truth"])
+
+    @property
+    def origin(self) -> str:
+        """Of a replay: the log, and what was not given to the estimators; else empty."""
+        if self.log is None:
+            return ""
+        held = f", {', '.join(self.log['held_out'])} held out" if self.log["held_out"] else ""
+        count = len(next(iter(self.samples.values()))["anis"])
+        truth = "" if self.has_truth else ", no truth"
+        return f"log {', '.join(self.log['files'])}, one run in {count} parts{held}{truth}"
 
     @property
     def n(self) -> int:
@@ -95,10 +118,12 @@ class Stored:
     def traces(self, label: str) -> Iterator[tuple[Array, Array]] | None:
         """Errors `(run, step, n)` and NEES `(run, step)` batch by batch, or None if not stored.
 
+        None of a log too, which is one run.
+
         Over the settled instants of the runs that did not diverge. The error of a coordinate that
         is known exactly is 0.
         """
-        if "error" not in self.tree[label]:
+        if "error" not in self.tree[label] or self.log is not None:
             return None
         return self._traces(label)
 
@@ -145,34 +170,52 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
     channels = tuple(map(str, _read(folder, tree, "channel"))) if "channel" in tree else ()
     for label, record in records.items():
         record["cpu_time"] = _cost(folder, tree, label, done, size)
+    attrs = {str(key): value for key, value in tree.attrs.items()}
+    log = attrs.get("log")
+    samples, names, units = records, tuple(map(str, names)), tuple(map(str, units))
+    if log is not None:
+        both = {label: _sample(folder, tree, label, records[label]) for label in labels}
+        samples = {label: sample for label, (sample, _) in both.items()}
+        components = tuple(map(str, _read(folder, tree, "reading")))
+        summaries = {
+            label: summarize_log(
+                label, *found, times, scenario.consistency, names, channels, components,
+                log["truth"],
+            )
+            for label, found in both.items()
+        }  # fmt: skip
+    else:
+        summaries = {
+            label: summarize(
+                label, record, numbers[done].tolist(), times, scenario.consistency, names,
+                channels, scenario.contact,
+            )
+            for label, record in records.items()
+        }  # fmt: skip
     return Stored(
         folder=folder,
         title=title or folder.name,
         scenario=scenario,
-        attrs={str(key): value for key, value in tree.attrs.items()},
-        names=tuple(map(str, names)),
-        units=tuple(map(str, units)),
+        attrs=attrs,
+        names=names,
+        units=units,
         channels=channels,
         times=times,
         runs=numbers[done],
         total=len(done),
         records=records,
-        summaries={
-            label: summarize(
-                label,
-                record,
-                numbers[done].tolist(),
-                times,
-                scenario.consistency,
-                tuple(map(str, names)),
-                channels,
-                scenario.contact,
-            )
-            for label, record in records.items()
-        },
+        samples=samples,
+        summaries=summaries,
         tree=tree,
         batches=tuple(_whole(done, size)),
+        log=log,
     )
+
+
+def _sample(folder: Path, tree: xr.DataTree, label: str, record: Record) -> tuple[Record, Record]:
+    """The parts of a log: all variables, and those of the innovations."""
+    arrays = {name: _read(folder, tree, f"{label}/{name}") for name in PARTS | INNOVATIONS}
+    return parts.read(arrays, float(record["cpu_time"][0]))
 
 
 def load_all(folders: Sequence[str | Path]) -> list[Stored]:

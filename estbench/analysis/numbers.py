@@ -29,6 +29,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
                 "scenario": c.stores[0].scenario.name,
                 "seed": c.stores[0].scenario.simulation.seed,
                 "runs": len(c.runs),
+                "score": "rmse" if c.truth else "density",
                 "folders": [
                     {"folder": str(s.folder), "runs": len(s.runs), "wanted": s.total,
                      "versions": s.attrs.get("versions"),
@@ -38,14 +39,14 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
                 "estimators": {f.key: _estimator(f) for f in c.findings},
                 "ranking": [
                     {"estimator": r.key, "rank": r.place, "last_rank": r.last, "tied": r.tied,
-                     "rmse_ratio_to_first": plain(r.ratio), "lost_share": r.lost}
+                     f"{_score(c)}_to_first": plain(r.ratio), "lost_share": r.lost}
                     for r in c.ranks
                 ],
                 "pairs": [
                     {
                         "a": p.a,
                         "b": p.b,
-                        "rmse_ratio": plain(p.ratio),
+                        _score(c): plain(p.ratio),
                         **_tests(p.paired),
                         "sign_p_holm": p.sign,
                         "wilcoxon_p_holm": p.wilcoxon,
@@ -63,6 +64,11 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
             for c in comparison.contests
         ],
     }  # fmt: skip
+
+
+def _score(contest: Contest) -> str:
+    """The name of a ratio of scores: of errors, or of inverse densities of the readings."""
+    return "rmse_ratio" if contest.truth else "inverse_density_ratio"
 
 
 def _estimator(f: Findings) -> dict[str, Any]:
@@ -200,7 +206,7 @@ def _pair_rows(contest: Contest) -> Iterator[dict[str, Any]]:
     for p, (rmse, nees), likely in zip(contest.pairs, contest.details(), contest.log_likelihood):
         pair = {"estimator": p.a, "against": p.b}
         tests = {"p_sign": p.sign, "p_wilcoxon": p.wilcoxon}
-        yield {**pair, "quantity": "rmse_ratio", **plain(p.ratio), **tests}
+        yield {**pair, "quantity": _score(contest), **plain(p.ratio), **tests}
         differences = [("rmse_difference", n, u, d) for n, u, d in zip(names, units, rmse)]
         for quantity, name, unit, d in (*differences, ("nees_over_n_difference", "", "", nees)):
             yield {

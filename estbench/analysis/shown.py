@@ -20,11 +20,15 @@ def build(comparison: Comparison) -> list[Table]:
     for contest in comparison.contests:
         out.append(Table((), (), _title(contest)))
         out += [_verdicts(contest, comparison), _ranking(contest, comparison)]
-        out += [_pairs(contest, comparison), _accuracy(contest), *_by_coordinate(contest)]
+        out += [_pairs(contest, comparison)]
+        out += [_accuracy(contest)] if contest.truth else []
+        out += _by_coordinate(contest)
         phases = by_phase((f.key, f.phases) for f in contest.findings)
         out += [phases] if phases is not None else []
-        out += [t for t in (_coverage(contest), _innovations(contest)) if t.rows]
-        out.append(_needed(contest, comparison.precision))
+        last = (*([_coverage(contest)] if contest.truth else ()), _innovations(contest))
+        out += [t for t in last if t.rows]
+        if contest.stores[0].log is None:
+            out.append(_needed(contest, comparison.precision))
     return out
 
 
@@ -49,11 +53,16 @@ def _verdicts(contest: Contest, comparison: Comparison) -> Table:
             )
             for f in contest.findings
         ],
-        f"± and brackets are {comparison.level:.0%} intervals across runs; of the diverged share "
-        "Wilson's." + "".join(
+        f"± and brackets are {comparison.level:.0%} intervals across {_rows(contest)}; of the "
+        "diverged share Wilson's." + "".join(
             f"\n{f.key}: {f.summary.reason}." for f in contest.findings if f.summary.reason
         ),
     )  # fmt: skip
+
+
+def _rows(contest: Contest) -> str:
+    """What the intervals are across."""
+    return "runs" if contest.stores[0].log is None else "the parts of the log"
 
 
 def _by_coordinate(contest: Contest) -> list[Table]:
@@ -90,8 +99,8 @@ def few_runs(runs: int, estimators: int, level: float) -> str:
 def _ranking(contest: Contest, comparison: Comparison) -> Table:
     verdicts = {f.key: str(f.summary.verdict) for f in contest.findings}
     return tabulate(
-        "Ranking by RMSE",
-        ("rank", "<estimator", "<verdict", "RMSE / first", "in ranks", "lost"),
+        "Ranking by RMSE" if contest.truth else "Ranking by log-likelihood",
+        ("rank", "<estimator", "<verdict", f"{_score(contest)} / first", "in ranks", "lost"),
         tuple(
             (
                 f"{r.place}{'=' if r.tied else ''}", r.key, verdicts[r.key],
@@ -100,32 +109,42 @@ def _ranking(contest: Contest, comparison: Comparison) -> Table:
             )
             for i, r in enumerate(contest.ranks)
         ),
-        "The ratio is the geometric mean over the coordinates. = is a tie: not told apart at "
+        (
+            "The ratio is the geometric mean over the coordinates. "
+            if contest.truth
+            else "Ratio of exp(-log-likelihood per component of a reading): less is better. "
+        )
+        + "= is a tie: not told apart at "
         f"{comparison.level:.0%} (Wilcoxon, Holm over all pairs), or by less than "
         f"{comparison.margin:.2g} of the error."
         + few_runs(len(contest.runs), len(contest.findings), comparison.level),
     )  # fmt: skip
 
 
+def _score(contest: Contest) -> str:
+    return "RMSE" if contest.truth else "1/density"
+
+
 def _pairs(contest: Contest, comparison: Comparison) -> Table:
     rows = [
         (
             pair.a, pair.b, bounds(pair.ratio, 4), f"{p.less}/{p.more}/{p.ties}",
-            probability(pair.sign), probability(pair.wilcoxon), quantity(nees), quantity(likely),
+            probability(pair.sign), probability(pair.wilcoxon),
+            *([quantity(nees)] if contest.truth else []), quantity(likely),
         )
         for pair, nees, likely in zip(contest.pairs, contest.nees, contest.log_likelihood)
         for p in [pair.paired]
     ]  # fmt: skip
     return tabulate(
-        "Pairs on common random numbers",
+        "Pairs on common random numbers" if contest.stores[0].log is None else "Pairs on one log",
         (
             "<a",
             "<b",
-            "RMSE a/b",
+            f"{_score(contest)} a/b",
             "a less/more/tie",
             "sign p",
             "Wilcoxon p",
-            "NEES/n a-b",
+            *(["NEES/n a-b"] if contest.truth else []),
             "log-lik. a-b",
         ),
         rows,
@@ -205,7 +224,9 @@ def _no_nci(contest: Contest) -> str:
         if f.nci is not None and np.isfinite(f.nci):
             continue
         good, n = int((~f.record["diverged"].astype(bool)).sum()), f.stored.n
-        if not f.stored.has_traces:
+        if f.stored.log is not None:
+            reason = "it compares runs, and a log is one"
+        elif not f.stored.has_traces:
             reason = "the errors of each run are not stored (`estbench run --keep diagonal`)"
         elif good <= n:
             reason = f"it needs more than {n} runs that did not diverge, and there are {good}"

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from estbench.commands.shared import Estimators, Json, Overrides, console
+from estbench.commands.shared import Estimators, Json, Out, Overrides, console
 from estbench.errors import LogError
 
 
@@ -21,7 +21,8 @@ def replay(
         str, typer.Argument(help="as of run, with a section [log]; with --inspect a log")
     ],
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="the files of one log: CSV, TSV or npz")
+        list[Path] | None,
+        typer.Argument(help="the files of one log: CSV, TSV, Parquet, npz, or a rosbag"),
     ] = None,
     estimator: Estimators = None,
     hold_out: Annotated[
@@ -29,12 +30,13 @@ def replay(
         typer.Option(help="channel that is predicted and not fused; repeatable"),
     ] = None,
     overrides: Overrides = None,
+    out: Out = None,
     inspect: Annotated[
         bool, typer.Option("--inspect", help="show columns, rates and gaps of logs instead")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Run estimators on a recorded log, and say what their innovations think of them."""
+    """Run estimators on a recorded log, and say what its readings and its truth think of them."""
     if inspect:
         from estbench.logs import inspect as inspection
 
@@ -44,10 +46,12 @@ def replay(
         raise LogError("no log is named; give the files of one after the scenario")
     from estbench.logs import replay as replaying
     from estbench.logs import results
+    from estbench.scenario.load import resolve
+    from estbench.store import zarr as store
 
-    found = replaying.replay(
-        scenario, logs, estimator, hold_out=hold_out or (), overrides=overrides or ()
-    )
+    resolved = resolve(scenario, estimator, overrides=overrides or ())
+    folder = out if out is not None else store.default_folder(resolved.name)
+    found = replaying.replay(resolved, logs, hold_out=hold_out or (), out=folder)
     if as_json:
         print(results.to_json(found))
     else:

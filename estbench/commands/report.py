@@ -48,7 +48,8 @@ def plot(
     what: Annotated[
         str,
         typer.Option(
-            help="nees, nis, error, rmse, coverage, histogram, autocorrelation or touch-down"
+            help="nees, nis, error, rmse, coverage, histogram, autocorrelation, touch-down or "
+            "innovation"
         ),
     ] = "nees",
     format_: Annotated[str, typer.Option("--format", help="png, pdf or svg")] = "pdf",
@@ -57,7 +58,9 @@ def plot(
         Path | None, typer.Option("--out", "-o", help="default WHAT.FORMAT in the first folder")
     ] = None,
     estimator: Estimators = None,
-    run: Annotated[int | None, typer.Option(help="error: which run; default the worst")] = None,
+    run: Annotated[
+        int | None, typer.Option(help="error, innovation: which run; default the worst")
+    ] = None,
     coordinate: Annotated[
         list[str] | None, typer.Option(help="error, rmse, coverage: repeatable; default all")
     ] = None,
@@ -92,7 +95,10 @@ def video(
     camera: Annotated[str | None, typer.Option(help="a camera of the model")] = None,
     overrides: Overrides = None,
 ) -> None:
-    """Film one run: the truth, the estimate as a ghost, its covariance, and a chart of NEES."""
+    """Film one run: the truth, the estimate as a ghost, its covariance, and a chart of NEES.
+
+    Of a replay without truth the estimate alone, and a chart of NIS.
+    """
     from estbench.report.rendering import replay
     from estbench.report.rendering import video as film
 

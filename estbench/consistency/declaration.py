@@ -74,6 +74,7 @@ class Statistic:
         headings: of its column in single tables, in place of `heading`.
         narrow: the heading where columns are scarce.
         optional: whether tables leave it out where no estimator has it.
+        truth: whether it compares with the truth; tables leave it out where none is known.
         variables: what it needs in the store, by name; merged as `Field.dims` says.
     """
 
@@ -95,6 +96,7 @@ class Statistic:
     headings: Mapping[Place, str] = field(default_factory=dict)
     narrow: str = ""
     optional: bool = False
+    truth: bool = False
     variables: Mapping[str, Recorded] = field(default_factory=dict)
 
     @property

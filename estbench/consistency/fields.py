@@ -105,7 +105,7 @@ class BatchTraces:
     @cached_property
     def inside(self) -> Float[Array, "run n 3"]:
         """Share of the settled steps with an error of at most 1, 2, 3σ."""
-        return inside(self.traces.error[self.settled], self.traces.std[self.settled])
+        return inside(self.traces.error[self.settled], self.traces.sigma[self.settled])
 
     @cached_property
     def nis(self) -> Float[Array, "time run"]:
@@ -128,12 +128,12 @@ class BatchTraces:
     def scaled(self) -> Float[Array, "time run n"]:
         """e/σ; NaN where the filter reports no variance."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            return self.traces.error / self.traces.std
+            return self.traces.error / self.traces.sigma
 
     @cached_property
     def uncertain(self) -> Bool[Mask, "time run n"]:
         """Where the filter reports a variance: a coordinate known exactly has none."""
-        return self.traces.std > 0
+        return self.traces.sigma > 0
 
     def in_blocks(
         self, values: Float[Array, "time run *any"], counted: Bool[Mask, "..."]

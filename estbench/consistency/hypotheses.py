@@ -43,6 +43,7 @@ class Kind(StrEnum):
     NIS_BLOCK = "NIS/m in a block of time"
     CHANNEL = "NIS/m of a channel"
     WHITENESS = "correlation of the innovations"
+    INNOVATION = "mean innovation of a component over its σ"
 
 
 WEIGHTS = {
@@ -50,7 +51,7 @@ WEIGHTS = {
     Kind.NEES_BLOCK: 0.075, Kind.COORDINATE_BLOCK: 0.05, Kind.BIAS_BLOCK: 0.05,
     Kind.NEES_SIZE: 0.05, Kind.NEES_RUNS: 0.05, Kind.CHANNEL: 0.05, Kind.WHITENESS: 0.05,
     Kind.NEES_ALONG: 0.05, Kind.COORDINATE_SIZE: 0.025, Kind.NIS_BLOCK: 0.025,
-    Kind.NEES_PHASE: 0.05,
+    Kind.NEES_PHASE: 0.05, Kind.INNOVATION: 0.175,
 }  # fmt: skip
 """Share of the false-alarm rate that the hypotheses of a kind have together, relative to the others
 that there are."""
@@ -58,7 +59,7 @@ CHOSEN = 1.5
 """Factor by which the mean NEES/n of a consistent filter may differ from 1 in a phase of contact.
 The true state says when the phase is, so that the errors of its instants are chosen with them; up
 to 1.23 is found for Kalman filters (docs/statistics.md)."""
-BIASES = (Kind.BIAS, Kind.BIAS_BLOCK)
+BIASES = (Kind.BIAS, Kind.BIAS_BLOCK, Kind.INNOVATION)
 VARIABLES = {
     Kind.NEES: ("anees",),
     Kind.NEES_BLOCK: ("nees_by_block",),
@@ -75,6 +76,7 @@ VARIABLES = {
     Kind.NIS_BLOCK: ("nis_by_block",),
     Kind.CHANNEL: ("channel_nis",),
     Kind.WHITENESS: ("lags", "lag_terms"),
+    Kind.INNOVATION: ("scaled_innovation",),
 }
 """The variables that each kind needs; a store of an earlier version may lack them."""
 
@@ -91,7 +93,8 @@ class Hypothesis:
         p: two-sided p-value of the ideal value.
         adjusted: by Holm over the whole family.
         ideal: 1 for a ratio, 0 for a mean error or a correlation.
-        coordinate, block, channel: indices of what it is about, or None.
+        coordinate, block, channel: indices of what it is about, or None; the coordinate of
+            `INNOVATION` is a component of the readings.
         place: of `NEES_SIZE`, `COORDINATE_SIZE` and `NEES_RUNS` 0 for small covariances and 1 for
             large ones, of `WHITENESS` the lag, of `NEES_PHASE` that of `fields.PHASES`, of
             `NEES_ALONG` that of `spaces.directions`; else 0.
@@ -179,7 +182,7 @@ def _place(kind: Kind, index: tuple[np.intp, ...]) -> dict[str, int]:
     match kind:
         case Kind.NEES_BLOCK | Kind.NIS_BLOCK:
             return {"block": where[0]}
-        case Kind.COORDINATE | Kind.BIAS:
+        case Kind.COORDINATE | Kind.BIAS | Kind.INNOVATION:
             return {"coordinate": where[0]}
         case Kind.COORDINATE_BLOCK | Kind.BIAS_BLOCK:
             return {"block": where[0], "coordinate": where[1]}

@@ -1,7 +1,7 @@
-"""The verdict of the innovations alone, where no truth is known: one run is divided into blocks.
+"""The verdict of the innovations alone, where no truth is known: one run is divided into parts.
 
 The innovations of a consistent filter have the covariance S, mean 0, and no correlation in time.
-The averages over blocks of time that are long against their correlation are independent (batch
+The averages over parts of the time that are long against their correlation are independent (batch
 means; Law 2015, Simulation Modeling and Analysis, sec. 9.5.3), and take the place of runs.
 """
 
@@ -11,16 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from estbench.consistency.fields import Record
-from estbench.consistency.hypotheses import Hypothesis, Kind, family
+from estbench.consistency.hypotheses import Kind, family
 from estbench.consistency.intervals import Interval, positive_mean_interval
-from estbench.consistency.verdict import Verdict, is_refuted, is_shown, word
+from estbench.consistency.verdict import Judgement, Verdict, is_refuted, is_shown, word
 from estbench.inference.lags import LAGS, correlation
 from estbench.shapes import Array, Float, Int, Ints
 
 BLOCKS = 20
-"""Into which the updates of a run are divided."""
+"""Parts into which the updates of a run are divided."""
 FEWEST = 10
-"""Updates of a block."""
+"""Updates of a part."""
+NEEDED = ("anis", "channel_nis", "scaled_innovation", "lags", "lag_terms")
+"""Variables of a judgement of the innovations alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,7 @@ class InnovationVerdict:
         bias: mean ν/√S of each component.
         lag_one: correlation of ν/√S from one arrival to the next, of all components.
         reason: the hypothesis that is refuted most; empty where none is.
-        blocks: of the interval.
+        blocks: parts of the run that give the intervals.
     """
 
     verdict: Verdict
@@ -73,7 +75,7 @@ def judge_innovations(
 ) -> InnovationVerdict:
     """The verdict from the innovations of one run.
 
-    The hypotheses about innovations of `consistency.hypotheses`, each with blocks for runs, and
+    The hypotheses about innovations of `consistency.hypotheses`, each with parts for runs, and
     that the mean of ν/√S of each component is 0; refuted and shown as in `verdict.judge`.
 
     Args:
@@ -84,32 +86,61 @@ def judge_innovations(
         level: confidence.
         tolerance: a difference of NIS/m from 1 that does not matter.
     """
-    count = max(1, min(BLOCKS, len(series.nis) // FEWEST))
-    parts = np.array_split(np.arange(len(series.nis)), count)
-    record = _record(series, parts)
-    hypotheses = family(record, np.ones(count, bool), level)
-    refuted = tuple(h for h in hypotheses if is_refuted(h, level, tolerance))
-    unshown = tuple(h for h in hypotheses if h not in refuted and not is_shown(h, tolerance))
+    record = by_part(series, parts(np.arange(len(series.nis))))
+    judged = judge(record, failed, level, tolerance)
     sums, terms = record["lags"].sum(axis=0), record["lag_terms"].sum(axis=0)
     return InnovationVerdict(
-        verdict=word(refuted, unshown, count, float(failed)),
+        verdict=judged.verdict,
         nis=positive_mean_interval(record["anis"], level),
         channels=tuple(positive_mean_interval(c, level) for c in record["channel_nis"].T),
         bias=tuple(float(b) for b in _mean(series.scaled)),
         lag_one=float(correlation(sums, terms)[1]),
-        reason=_reason(refuted, channels, components),
-        blocks=count,
+        reason=reason(judged, channels, components),
+        blocks=len(record["anis"]),
     )
 
 
-def _record(series: InnovationSeries, parts: Sequence[Ints]) -> Record:
-    """The variables of the hypotheses, blocks in place of runs."""
+def judge(
+    record: Record, failed: bool = False, level: float = 0.95, tolerance: float = 0.1
+) -> Judgement:
+    """The judgement of the innovations of one run.
+
+    Args:
+        record: of `by_part`.
+        failed: whether the estimator failed.
+        level: confidence.
+        tolerance: a difference of NIS/m from 1 that does not matter.
+    """
+    record = {name: record[name] for name in NEEDED}
+    count = len(record["anis"])
+    hypotheses = family(record, np.ones(count, bool), level)
+    refuted = tuple(h for h in hypotheses if is_refuted(h, level, tolerance))
+    unshown = tuple(h for h in hypotheses if h not in refuted and not is_shown(h, tolerance))
+    return Judgement(
+        verdict=word(refuted, unshown, count, float(failed)), hypotheses=hypotheses,
+        refuted=refuted, open=unshown, needed=None, runs=count, lost=count if failed else 0,
+        failed=0, failed_step=-1, copies=0, lacking=(),
+    )  # fmt: skip
+
+
+def parts(updates: Int[Ints, " update"], most: int = BLOCKS) -> list[Int[Ints, " _"]]:
+    """The updates of a run in parts that follow each other, at most so many."""
+    return np.array_split(updates, max(1, min(most, BLOCKS, len(updates) // FEWEST)))
+
+
+def by_part(series: InnovationSeries, parts: Sequence[Ints]) -> Record:
+    """The variables of the hypotheses, parts in place of runs.
+
+    Args:
+        series: of the updates that count.
+        parts: indices of the updates of each part.
+    """
     ratio = series.nis / np.maximum(series.dof, 1)
     lags = [_lags(series.scaled, part) for part in parts]
     return {
         "anis": np.array([ratio[part].mean() if len(part) else np.nan for part in parts]),
         "channel_nis": np.stack([_mean(series.channel_nis[part]) for part in parts]),
-        "scaled_error": np.stack([_mean(series.scaled[part])[None] for part in parts]),
+        "scaled_innovation": np.stack([_mean(series.scaled[part]) for part in parts]),
         "lags": np.stack([sums for sums, _ in lags]),
         "lag_terms": np.stack([terms for _, terms in lags]),
     }
@@ -136,10 +167,15 @@ def _lags(
     return sums, terms
 
 
-def _reason(
-    refuted: Sequence[Hypothesis], channels: Sequence[str], components: Sequence[str]
-) -> str:
-    """The hypothesis with the least p-value, in words."""
+def reason(judged: Judgement, channels: Sequence[str], components: Sequence[str]) -> str:
+    """The hypothesis with the least p-value, in words; empty where none is refuted.
+
+    Args:
+        judged: of `judge`.
+        channels: their names.
+        components: names of the components of the readings.
+    """
+    refuted = judged.refuted
     if not refuted:
         return ""
     worst = min(refuted, key=lambda h: (h.adjusted, -abs(h.mean.value - h.ideal)))

@@ -28,6 +28,7 @@ STANDS_OUT = 1.25
 def reason(
     j: Judgement, names: Sequence[str], channels: Sequence[str], blocks: Sequence[Block],
     tolerance: float = 0.1, failed_at: float = 0.0, phases: Sequence[str] = (),
+    rows: str = "runs",
 ) -> str:  # fmt: skip
     """One line, such as `overconfident: pole.vel, 2.1 x its variance, from 0.0 to 0.4 s`.
 
@@ -39,6 +40,7 @@ def reason(
         tolerance: of the judgement.
         failed_at: when the simulation of a truth failed first, s.
         phases: of contact, such as `in flight`.
+        rows: what the hypotheses are averages over.
     """
     clauses = [
         _clause("overconfident", _size(j, True, names, blocks, phases)),
@@ -63,7 +65,7 @@ def reason(
         else:
             said.append(failed)
     if j.verdict is Verdict.UNDECIDED:
-        said.insert(0, _undecided(j, names, blocks, phases, tolerance))
+        said.insert(0, _undecided(j, names, blocks, phases, tolerance, rows))
     if j.copies:
         said.append(f"{j.copies} runs are copies of others and were left out")
     if j.lacking:
@@ -230,11 +232,11 @@ def _whiteness(j: Judgement) -> str:
 
 def _undecided(
     j: Judgement, names: Sequence[str], blocks: Sequence[Block], phases: Sequence[str],
-    tolerance: float,
+    tolerance: float, rows: str,
 ) -> str:  # fmt: skip
     """What is not shown, and how many runs would decide."""
     if not j.open:
-        return f"{j.runs} runs that did not diverge give no interval"
+        return f"{j.runs} {rows} that did not diverge give no interval"
 
     def lacks(h: Hypothesis) -> float:
         low, high = bounds(h, tolerance) or (0.0, 0.0)
@@ -250,9 +252,11 @@ def _undecided(
     when = f" {phases[h.place]}" if h.kind is Kind.NEES_PHASE else when
     if high <= low:
         return f"not refuted; with tolerance {tolerance:g} nothing can be shown"
-    runs = f"about {j.needed} runs would decide" if j.needed else f"more than {MANY:,} runs needed"
+    runs = (
+        f"about {j.needed} {rows} would decide" if j.needed else f"more than {MANY:,} {rows} needed"
+    )
     if not np.isfinite(h.mean.high - h.mean.low):
-        runs = "more runs are needed"
+        runs = f"more {rows} are needed"
     return (
         f"{what}{when} {_range(h.mean.low, h.mean.high)} is not within {low:.3g} to {high:.3g}; "
         f"{runs}"

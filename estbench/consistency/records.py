@@ -19,6 +19,7 @@ from estbench.consistency.fields import (
     Recorded,
     run_major,
 )
+from estbench.consistency.innovations import BLOCKS, NEEDED
 from estbench.consistency.nees import diverged_runs
 from estbench.consistency.statistics import COORDINATE, STATISTICS
 from estbench.inference.lags import LAGS
@@ -161,7 +162,7 @@ SUMMARY: dict[str, Recorded] = {
 }  # fmt: skip
 SIZES = {
     "lag": LAGS + 1, "block": blocks.COUNT, "size": 2, "direction": COUNT, "phase": len(PHASES),
-    "side": 2,
+    "side": 2, "part": BLOCKS, "one": 1,
 }  # fmt: skip
 """Dimensions that are the same for all scenarios."""
 COST = {
@@ -201,6 +202,26 @@ FULL = {
         run_major("innovation_cov"),
     ),
 }  # fmt: skip
+PER_RUN = {name: field for name, field in SUMMARY.items() if field.dims[0] == "run"}
+SUFFIX = "_by_part"
+PARTS = {
+    f"{name}{SUFFIX}": Field(
+        ("run", "part", *("one" if dim == "block" else dim for dim in field.dims[1:])),
+        field.dtype, f"of a part of the run: {field.meaning}",
+    )
+    for name, field in PER_RUN.items()
+} | {
+    f"scaled_innovation{SUFFIX}": Field(
+        ("run", "part", "reading"), "f8", "of a part of the run: average of ν/√S of each component"
+    )
+}  # fmt: skip
+"""The sample of a log (`parts`); rows of `part` without readings are not used."""
+INNOVATIONS = {
+    f"innovation_{name}{SUFFIX}": Field(field.dims, field.dtype, f"{field.meaning}; short parts")
+    for name in NEEDED
+    if (field := PARTS[f"{name}{SUFFIX}"])
+}
+"""The variables of the judgement of innovations, of which the parts may be shorter."""
 RESERVED = {
     "run", "time", "block", "phase", "coordinate", "coordinate_", "unit", "channel", "state",
     "reading", "reading_", "done", "truth",
@@ -213,17 +234,19 @@ def fields(keep: str, live: bool = False) -> dict[str, Field]:
     """The variables of an estimator's group in a store.
 
     Args:
-        keep: `summary`, `diagonal` or `full`.
+        keep: `summary`, `diagonal`, `full`, or `log`: all, and the sample of `parts`.
         live: whether the controller sees the estimate. Each estimator then has a truth of its own,
             kept in its group; otherwise one truth in the group `truth` serves all.
     """
     truth = TRUTH if live and keep != "summary" else {}
-    return SUMMARY | _traces(keep) | truth
+    return SUMMARY | _traces(keep) | truth | (PARTS | INNOVATIONS if keep == "log" else {})
 
 
 def _traces(keep: str) -> dict[str, Recorded]:
     """The variables with a time axis for each run."""
-    return {"summary": {}, "diagonal": DIAGONAL, "full": DIAGONAL | FULL}[keep]
+    return {"summary": {}, "diagonal": DIAGONAL, "full": DIAGONAL | FULL, "log": DIAGONAL | FULL}[
+        keep
+    ]
 
 
 def reduce(
@@ -239,7 +262,7 @@ def reduce(
         traces: with all that `keep` asks for.
         times: s; index 0 is the prior and is left out of averages.
         section: burn-in and the definition of divergence.
-        keep: `summary`, `diagonal` or `full`.
+        keep: as of `fields`.
         phases: phase of contact of each instant, where it is known.
     """
     window = round(section.divergence_duration / np.diff(times).mean())

@@ -29,6 +29,7 @@ COORDINATE = (*RUN, "coordinate")
 
 ANEES = Statistic(
     name="anees",
+    truth=True,
     heading="NEES/n",
     key="anees_over_n",
     meaning="mean over runs of the time-averaged NEES, divided by its degrees of freedom (n, less "
@@ -44,6 +45,7 @@ ANEES = Statistic(
 )  # fmt: skip
 ANEES_MEDIAN = Statistic(
     name="anees_median",
+    truth=True,
     heading="median",
     key="anees_over_n_median",
     meaning="median over all runs of their time-averaged NEES/n",
@@ -120,6 +122,7 @@ DIVERGED = Statistic(
 )  # fmt: skip
 RMSE = Statistic(
     name="rmse",
+    truth=True,
     heading="RMSE",
     key="rmse",
     meaning="root of the mean over time and runs of the squared error",
@@ -139,6 +142,7 @@ RMSE = Statistic(
 )  # fmt: skip
 RMSE_MEDIAN = Statistic(
     name="rmse_median",
+    truth=True,
     heading="median",
     key="rmse.median",
     meaning="median over all runs of the root of their time-averaged squared error",
@@ -179,6 +183,7 @@ BOUND = {
 }  # fmt: skip
 EFFICIENCY = Statistic(
     name="efficiency",
+    truth=True,
     heading="efficiency",
     key="efficiency",
     meaning="n over the sum of mean square error / bound: 1 is the best possible",
@@ -188,6 +193,7 @@ EFFICIENCY = Statistic(
 )
 EFFICIENCY_EACH = Statistic(
     name="efficiency_each",
+    truth=True,
     heading="efficiency",
     key="rmse.efficiency",
     meaning="bound on the mean square error over the mean square error",
@@ -200,6 +206,7 @@ EFFICIENCY_EACH = Statistic(
 )
 MEAN_ERROR = Statistic(
     name="mean_error",
+    truth=True,
     heading="mean error",
     key="mean_error",
     meaning="mean over time and runs of the error: the bias",
@@ -218,6 +225,7 @@ MEAN_ERROR = Statistic(
 )  # fmt: skip
 SKEW = Statistic(
     name="skew",
+    truth=True,
     heading="skew",
     key="error_skewness",
     meaning="skewness of the error over time and runs, with the jackknife's interval",
@@ -284,6 +292,7 @@ class Summary:
         known: share of the steps at which each coordinate was known exactly.
         rank: mean over time and runs of the degrees of freedom of NEES.
         gated: share of the components of all readings that the estimator's gate refused.
+        truth: whether the truth is known, at least in part.
     """
 
     label: str
@@ -309,6 +318,7 @@ class Summary:
     known: tuple[float, ...] = ()
     rank: float = np.nan
     gated: float = 0.0
+    truth: bool = True
 
     @property
     def verdict(self) -> Verdict:
@@ -336,12 +346,19 @@ def shown(
     Args:
         place: the table.
         per: those with one value, or those with one for each coordinate.
-        summaries: of its estimators; without an optional statistic that none of them has.
+        summaries: of its estimators; without an optional statistic that none of them has, and
+            without those that need the truth where none of them has it.
     """
     found = [s for s in of(per) if place in s.places]
     if summaries is None:
         return found
-    return [s for s in found if not s.optional or any(_has(summary, s) for summary in summaries)]
+    judged = any(summary.truth for summary in summaries)
+    return [
+        s
+        for s in found
+        if (judged or not s.truth)
+        and (not s.optional or any(_has(summary, s) for summary in summaries))
+    ]
 
 
 def _has(summary: Summary, statistic: Statistic) -> bool:
@@ -351,10 +368,10 @@ def _has(summary: Summary, statistic: Statistic) -> bool:
     return any(np.isfinite(x.value if isinstance(x, Interval) else x) for x in each)
 
 
-def ideals(place: Place) -> str:
+def ideals(place: Place, summaries: Sequence[Summary] | None = None) -> str:
     """`NEES/n and NIS/m are 1, ... is 0`: the values of a consistent filter, for a caption."""
     by_value: dict[float, list[str]] = {}
-    for s in shown(place):
+    for s in shown(place, summaries=summaries):
         if s.ideal is not None:
             by_value.setdefault(s.ideal, []).append(s.phrase or s.heading)
     return ", ".join(

@@ -13,7 +13,7 @@ from estbench.consistency.intervals import NONE
 from estbench.consistency.phases import described
 from estbench.consistency.reason import reason
 from estbench.consistency.statistics import Failure, Summary
-from estbench.consistency.verdict import judge
+from estbench.consistency.verdict import Judgement, judge
 from estbench.estimators.beliefs import Fault
 from estbench.scenario.schema import ConsistencySection, ContactSection
 from estbench.shapes import Array, Bool, Float, Mask
@@ -30,6 +30,8 @@ def summarize(
     names: Sequence[str],
     channels: Sequence[str] = (),
     contact: ContactSection = PHASES_BY_DEFAULT,
+    judged: tuple[Judgement, str] | None = None,
+    truth: bool = True,
 ) -> Summary:
     """The summary of one estimator.
 
@@ -42,13 +44,15 @@ def summarize(
         names: of the coordinates.
         channels: their names; empty for a store of an earlier version.
         contact: which events of contact have a phase.
+        judged: the judgement and its reason, if they are not those of the record.
+        truth: whether it is known.
     """
     sample = Sample(record, section.level, len(times) - 1)
     values: dict[str, Any] = {
         s.name: s.of(sample) if s.variables.keys() <= record.keys() else _unknown(s, record)
         for s in statistics.STATISTICS
     }
-    judgement = judge(record, section.level, section.tolerance)
+    judgement = judged[0] if judged else judge(record, section.level, section.tolerance)
     failed_at = float(times[max(judgement.failed_step, 0)])
     parts = blocks(times, section.burn_in)
     failures = (
@@ -59,12 +63,15 @@ def summarize(
         label=label,
         runs=len(runs),
         judgement=judgement,
-        reason=reason(
+        reason=judged[1]
+        if judged
+        else reason(
             judgement, names, channels, parts, section.tolerance, failed_at, described(contact)
         ),
         failures=tuple(failures),
         late=int(record["late"].sum()),
         gated=_gated(record),
+        truth=truth,
         **_exact(record, sample.good),
         **values,
     )

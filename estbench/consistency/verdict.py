@@ -130,7 +130,11 @@ def judge(record: Record, level: float = 0.95, tolerance: float = 0.1) -> Judgem
         failed=int(failed.sum()),
         failed_step=int(record["fault_step"][failed].min()) if failed.any() else -1,
         copies=copies,
-        lacking=tuple(k for k, names in VARIABLES.items() if not set(names) <= record.keys()),
+        lacking=tuple(
+            kind
+            for kind, names in VARIABLES.items()
+            if kind is not Kind.INNOVATION and not set(names) <= record.keys()
+        ),
     )
 
 

@@ -45,6 +45,7 @@ class Traces:
         innovation_cov: S of the components fused together, likewise.
         bound: numbers whose mean over the runs is the bound on the mean square error, (unit)²;
             None where it was not computed.
+        expected: σ of the error where the truth has noise of its own; None where it has none.
     """
 
     truth: Float[Array, "time run nx"]
@@ -69,6 +70,12 @@ class Traces:
     innovation: Float[Array, "time run m"] | None = None
     innovation_cov: Float[Array, "time run m m"] | None = None
     bound: Float[Array, "time run n"] | None = None
+    expected: Float[Array, "time run n"] | None = None
+
+    @property
+    def sigma(self) -> Float[Array, "time run n"]:
+        """σ that the error should have: that of the filter, with the noise of the truth."""
+        return self.std if self.expected is None else self.expected
 
     @property
     def lag_one(self) -> Float[Array, " run"]:

@@ -12,7 +12,13 @@ from estbench.experiment.recording import recorded
 from estbench.experiment.setup import build
 from estbench.robots.layout import control_names, state_names
 from estbench.scenario.load import load
-from estbench.scenario.log import LogChannel, LogColumns, LogSection
+from estbench.scenario.log import (
+    LogChannel,
+    LogColumns,
+    LogSection,
+    TruthColumns,
+    TruthSection,
+)
 from estbench.sensors.sampling import divided
 from estbench.shapes import Array
 from estbench.simulation.sources import Trajectory
@@ -82,7 +88,19 @@ def section(prepared: Setup, late: Sequence[str]) -> LogSection:
     controls = {
         name: LogColumns(columns=[f"u.{name}"]) for name in control_names(prepared.plant.model)
     }
-    return LogSection(time="time", instants="all", channels=channels, controls=controls)
+    numbers = state_names(prepared.space)
+    turns = [q for q, _ in prepared.space.quaternions.tolist()]
+    states = {
+        name.removesuffix(".qw") + ".rotation" if i in turns else name: TruthColumns(
+            columns=[f"x.{n}" for n in numbers[i : i + 4 if i in turns else i + 1]]
+        )
+        for i, name in enumerate(numbers)
+        if not any(q < i < q + 4 for q in turns)
+    }
+    return LogSection(
+        time="time", instants="all", channels=channels, controls=controls,
+        truth=TruthSection(states=states),
+    )  # fmt: skip
 
 
 def _late(prepared: Setup) -> tuple[str, ...]:

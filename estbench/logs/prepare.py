@@ -7,9 +7,10 @@ from pathlib import Path
 from estbench.errors import LogError, did_you_mean
 from estbench.experiment.prepared import Setup, Timeline
 from estbench.experiment.setup import build
-from estbench.logs import clock, files
+from estbench.logs import clock, files, truth
 from estbench.logs.source import Log, mapped
 from estbench.logs.table import LogTable
+from estbench.logs.truth import Truth
 from estbench.robots.layout import control_names
 from estbench.scenario.log import LogSection
 from estbench.scenario.schema import ControlSection, Scenario
@@ -84,9 +85,24 @@ def laid_on(prepared: Setup, tables: Sequence[LogTable]) -> tuple[Setup, Log]:
         tables, section, prepared.channel_spaces, control_names(prepared.plant.model),
         prepared.plant.u0, prepared.scenario.filter.window,
     )  # fmt: skip
-    return on(prepared, log), log
+    ready = on(prepared, log)
+    return ready, replace(log, truth=_truth(ready, log, tables, section))
 
 
 def on(prepared: Setup, log: Log) -> Setup:
-    """An experiment at the instants of a log."""
-    return replace(prepared, instants=log.instants, timeline=Timeline(clock.TICK, log.lateness))
+    """An experiment at the instants of a log, which is one run."""
+    simulation = prepared.scenario.simulation.model_copy(update={"runs": 1})
+    scenario = prepared.scenario.model_copy(update={"simulation": simulation})
+    timeline = Timeline(clock.TICK, log.lateness)
+    return replace(prepared, scenario=scenario, instants=log.instants, timeline=timeline)
+
+
+def _truth(
+    prepared: Setup, log: Log, tables: Sequence[LogTable], section: LogSection
+) -> Truth | None:
+    """The true state at the instants, in the frame of the log."""
+    if section.truth is None:
+        return None
+    space = prepared.space
+    found = truth.parts(tables, section, section.truth, space, log.start)
+    return truth.at_times(found, section.truth, space, prepared.times)

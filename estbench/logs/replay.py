@@ -1,4 +1,4 @@
-"""Estimators on a recorded log, without truth: what their innovations say of them."""
+"""Estimators on a recorded log: what their innovations say of them, and the truth if it has one."""
 
 import time
 from collections.abc import Sequence
@@ -7,75 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
-from estbench.consistency.innovations import (
-    InnovationSeries,
-    InnovationVerdict,
-    judge_innovations,
-)
-from estbench.consistency.whiteness import Whiteness, whiteness
-from estbench.errors import EstimatorError
+from estbench.consistency import innovations, parts, records
+from estbench.consistency.innovations import InnovationSeries, by_part, judge_innovations
+from estbench.consistency.whiteness import whiteness
+from estbench.errors import EstimatorError, StoreError
 from estbench.estimators.beliefs import Fault
 from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import followed
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
-from estbench.logs.heldout import Prediction, predicted
+from estbench.logs import store, truth
+from estbench.logs.heldout import predicted
+from estbench.logs.judged import judged
+from estbench.logs.outcome import Replay, Replayed
 from estbench.logs.prepare import prepare
 from estbench.logs.source import Log, LogSource
+from estbench.logs.trajectory import Poses
 from estbench.scenario.load import Chosen, Scenario, resolve
-
-
-@dataclass(frozen=True, eq=False)
-class Replayed:
-    """One estimator on a log.
-
-    Attributes:
-        label: of the estimator.
-        traces: at the times of the log; what needs the truth is NaN.
-        innovations: the verdict of them.
-        white: Ljung and Box's test of them; None without two updates.
-        predictions: of the channels that are held out.
-        failure: why and when it failed; empty if it did not.
-        seconds: wall-clock time.
-    """
-
-    label: str
-    traces: Traces
-    innovations: InnovationVerdict
-    white: Whiteness | None
-    predictions: tuple[Prediction, ...]
-    failure: str
-    seconds: float
-
-    @property
-    def updates(self) -> int:
-        """Instants at which something was fused."""
-        return int((self.traces.dof > 0).sum())
-
-    @property
-    def log_likelihood(self) -> float:
-        """Log p(y) of all that was fused."""
-        return float(self.traces.log_likelihood.sum())
-
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """Estimators on one log.
-
-    Attributes:
-        prepared: the robot and the estimators, with the instants of the log.
-        log: mapped to its channels and controls.
-        fused: the channels that the estimators were given.
-        replayed: one for each estimator.
-    """
-
-    prepared: Setup
-    log: Log
-    fused: tuple[str, ...]
-    replayed: tuple[Replayed, ...]
-
-    def __getitem__(self, label: str) -> Replayed:
-        return {r.label: r for r in self.replayed}[label]
 
 
 def replay(
@@ -85,6 +33,7 @@ def replay(
     *,
     hold_out: Sequence[str] = (),
     overrides: Sequence[str] = (),
+    out: str | Path | None = None,
 ) -> Replay:
     """Run estimators on a recorded log.
 
@@ -97,13 +46,18 @@ def replay(
         estimators: labels, names or classes, in place of the scenario's.
         hold_out: channels that are predicted and not fused.
         overrides: `section.key=value` strings.
+        out: folder of the results, which `compare`, `report`, `plot`, `video` and `explain` read;
+            None writes nothing.
 
     Raises:
         EstbenchError: the log does not fit the scenario, or an estimator cannot run on it.
     """
+    if out is not None and Path(out).exists():
+        raise StoreError(f"{out} exists; choose another --out, or remove it")
     resolved = resolve(scenario, estimators, overrides=overrides)
     files = [logs] if isinstance(logs, str | Path) else list(logs)
-    return replay_on(*prepare(resolved, files, hold_out), hold_out)
+    found = replay_on(*prepare(resolved, files, hold_out), hold_out)
+    return found if out is None else store.write(found, Path(out))
 
 
 def replay_on(prepared: Setup, log: Log, hold_out: Sequence[str] = ()) -> Replay:
@@ -115,9 +69,13 @@ def replay_on(prepared: Setup, log: Log, hold_out: Sequence[str] = ()) -> Replay
         hold_out: channels that are predicted and not fused.
     """
     fused = fused_of(prepared, hold_out)
-    labels = prepared.scenario.estimators
+    times, section = prepared.times, prepared.scenario.consistency
+    settled = (times > section.burn_in) & (times > 0)
+    followers = [_follow(prepared, log, fused, label) for label in prepared.scenario.estimators]
+    # The same parts for all: estimators are compared part by part.
+    most = min((parts.most_parts(f.traces, settled) for f in followers), default=1)
     return Replay(
-        prepared, log, fused, tuple(_replayed(prepared, log, fused, label) for label in labels)
+        prepared, log, fused, tuple(_judged(prepared, log, fused, f, most) for f in followers)
     )
 
 
@@ -126,34 +84,88 @@ def fused_of(prepared: Setup, hold_out: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in prepared.channel_spaces if name not in hold_out)
 
 
-def _replayed(prepared: Setup, log: Log, fused: Sequence[str], label: str) -> Replayed:
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """An estimator on a log, before it is judged."""
+
+    label: str
+    traces: Traces
+    poses: dict[str, tuple[Poses, Poses]]
+    seconds: float
+
+
+def _follow(prepared: Setup, log: Log, fused: Sequence[str], label: str) -> _Followed:
     began = time.perf_counter()
     traces = followed(prepared, label, [0], LogSource(log, fused), True, True)
     seconds = time.perf_counter() - began
     if traces is None or traces.innovation is None or traces.innovation_cov is None:
         raise EstimatorError(f"{label} gave no innovations on the log")
-    times = np.array([i.end for i in log.instants])
-    section = prepared.scenario.consistency
-    counted = (traces.dof[:, 0] > 0) & (times > section.burn_in)
-    std = np.sqrt(np.diagonal(traces.innovation_cov[1:, 0], axis1=-2, axis2=-1))
-    place = [list(prepared.channel_spaces).index(name) for name in fused]
-    names = readings(prepared.channel_spaces)
-    own = readings({name: prepared.channel_spaces[name] for name in fused})
-    columns = [names.index(name) for name in own]
-    series = InnovationSeries(
-        traces.nis[counted, 0],
-        traces.dof[counted, 0],
-        traces.channel_nis[counted, 0][:, place],
-        (traces.innovation[1:, 0] / std)[counted][:, columns],
-    )
+    return _Followed(label, *_with_truth(prepared, log, traces), seconds)
+
+
+def _judged(prepared: Setup, log: Log, fused: Sequence[str], one: _Followed, most: int) -> Replayed:
+    label, traces = one.label, one.traces
+    section, times = prepared.scenario.consistency, prepared.times
+    channels, components = tuple(prepared.channel_spaces), readings(prepared.channel_spaces)
+    settled = (times > section.burn_in) & (times > 0)
+    series = _series(traces, settled)
+    record = records.reduce(traces, times, section, "log")
+    diverged = bool(record["diverged"][0])
+    sample = parts.of_log(traces, times, settled, diverged, series, most)
+    white = by_part(series, innovations.parts(np.arange(len(series.nis))))
     fault, step = int(traces.fault[0]), int(traces.fault_step[0])
-    held = [name for name in prepared.channel_spaces if name not in fused]
     return Replayed(
         label,
         traces,
-        judge_innovations(series, fused, own, fault > 0, section.level, section.tolerance),
+        judge_innovations(
+            series, channels, components, fault > 0, section.level, section.tolerance
+        ),
+        parts.summarize_log(
+            label, sample, white, times, section, prepared.space.names, channels, components,
+            log.truth is not None,
+        ),
+        record | parts.stored(sample, white),
         whiteness(traces.lags, traces.lag_terms, section.level),
-        tuple(predicted(prepared, label, log, name, traces) for name in held),
-        f"t = {times[max(step - 1, 0)]:.6g} s: {Fault(fault).text}" if fault else "",
-        seconds,
+        tuple(
+            predicted(prepared, label, log, name, traces) for name in channels if name not in fused
+        ),
+        one.poses,
+        f"t = {times[max(step, 0)]:.6g} s: {Fault(fault).text}" if fault else "",
+        one.seconds,
+    )  # fmt: skip
+
+
+def _with_truth(
+    prepared: Setup, log: Log, traces: Traces
+) -> tuple[Traces, dict[str, tuple[Poses, Poses]]]:
+    """The traces with their errors, and the poses of free joints."""
+    given = prepared.scenario.log and prepared.scenario.log.truth
+    if log.truth is None or given is None:
+        return traces, {}
+    space, estimate = prepared.space, traces.mean[:, 0]
+    rigid = truth.transform(given, log.truth, space, estimate)
+    found = truth.moved(log.truth, space, rigid)
+    poses = {}
+    for name, (position, turn, _) in truth.bodies(space).items():
+        there = np.isfinite(found.x[:, position.start : turn.stop]).all(axis=1)
+        there &= np.isfinite(estimate).all(axis=1)
+        if there.sum() >= 3:
+            poses[name] = tuple(
+                Poses(prepared.times[there], x[there, position], x[there, turn])
+                for x in (estimate, found.x)
+            )
+    return judged(traces, space, found), poses
+
+
+def _series(traces: Traces, settled: np.ndarray) -> InnovationSeries:
+    """The innovations of the updates that count."""
+    assert traces.innovation is not None
+    assert traces.innovation_cov is not None
+    counted = settled[1:] & (traces.dof[:, 0] > 0)
+    std = np.sqrt(np.diagonal(traces.innovation_cov[1:, 0], axis1=-2, axis2=-1))
+    return InnovationSeries(
+        traces.nis[counted, 0],
+        traces.dof[counted, 0],
+        traces.channel_nis[counted, 0],
+        (traces.innovation[1:, 0] / std)[counted],
     )

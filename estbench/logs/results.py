@@ -9,7 +9,7 @@ from rich.text import Text
 
 from estbench.consistency.intervals import Interval
 from estbench.logs.heldout import Prediction
-from estbench.logs.replay import Replay, Replayed
+from estbench.logs.outcome import Replay, Replayed
 from estbench.logs.source import Log
 from estbench.tables.columns import Table, tabulate
 from estbench.tables.names import visible
@@ -32,24 +32,28 @@ def rates(log: Log) -> Table:
 
 def verdicts(found: Replay) -> Table:
     """One row for each estimator."""
+    truth = found.log.truth is not None
     rows = []
     for r in found.replayed:
         seen = int(r.traces.dof.sum())
+        nees = [_interval(r.summary.anees)] if truth else []
         rows.append([
-            r.label, str(r.innovations.verdict), _interval(r.innovations.nis),
+            r.label, str(r.summary.verdict), *nees, _interval(r.innovations.nis),
             _number(r.log_likelihood / max(r.updates, 1)), _number(r.innovations.lag_one),
             _number(r.white.p) if r.white else "-",
             f"{r.traces.gated.sum() / max(seen, 1):.2%}", str(int(r.traces.late.sum())),
             _number(found.log.duration / r.seconds),
         ])  # fmt: skip
     headings = (
-        "<estimator", "<verdict", "NIS/m", "log-likelihood per update", "lag-one correlation",
-        "whiteness p", "gated", "late", "x real time",
+        "<estimator", "<verdict", *(["NEES/n"] if truth else []), "NIS/m",
+        "log-likelihood per update", "lag-one correlation", "whiteness p", "gated", "late",
+        "x real time",
     )  # fmt: skip
     level = found.prepared.scenario.consistency.level
     note = (
-        f"the verdict is of the innovations alone; brackets: the {level:.0%} interval from means "
-        "over blocks of time; ideal: NIS/m 1, correlation 0"
+        f"{'' if truth else 'the verdict is of the innovations alone; '}brackets: the {level:.0%} "
+        "interval from means over parts of time; ideal: "
+        f"{'NEES/n and ' if truth else ''}NIS/m 1, correlation 0"
     )
     return tabulate("verdict", headings, rows, note)
 
@@ -60,13 +64,59 @@ def by_channel(found: Replay) -> Table:
     rows = []
     for r in found.replayed:
         start = 0
-        for name, nis in zip(found.fused, r.innovations.channels):
+        for name, nis in zip(spaces, r.innovations.channels):
             bias = r.innovations.bias[start : start + spaces[name].n]
             start += spaces[name].n
+            if name not in found.fused:
+                continue
             rows.append([r.label, name, _interval(nis), ", ".join(map(_number, bias))])
     note = "NIS/m of a channel: given the channels before it at the same time"
     headings = ("<estimator", "<channel", "NIS/m", "mean innovation/σ")
     return tabulate("fused channels", headings, rows, note)
+
+
+def accuracy(found: Replay) -> Table | None:
+    """RMSE and mean error of each coordinate whose truth is known; None without truth."""
+    if found.log.truth is None:
+        return None
+    space, rows = found.prepared.space, []
+    for r in found.replayed:
+        for i, (name, unit) in enumerate(zip(space.names, space.units)):
+            rmse = r.summary.rmse[i]
+            if not np.isfinite(rmse.value):
+                continue
+            noise = found.log.truth.noise[i]
+            rows.append([
+                r.label, name, unit, _interval(rmse), _interval(r.summary.mean_error[i]),
+                _number(r.summary.std[i]), _number(noise),
+            ])  # fmt: skip
+    headings = ("<estimator", "<coordinate", "<unit", "RMSE", "mean error", "mean σ", "σ of truth")
+    unknown = [name for i, name in enumerate(space.names) if not found.log.truth.known[:, i].any()]
+    note = "mean σ is what the filter reports; NEES counts the noise of the truth"
+    if unknown:
+        note += f"; no truth of {', '.join(unknown)}"
+    return tabulate("errors", headings, rows, note)
+
+
+def moving(found: Replay) -> Table | None:
+    """ATE and RPE of the poses of free joints; None without true poses."""
+    rows = []
+    for r in found.replayed:
+        for name, e in r.trajectories.items():
+            rows.append([
+                r.label, name, str(e.poses), _number(e.ate), _number(np.degrees(e.ate_turn)),
+                _number(e.rpe), _number(np.degrees(e.rpe_turn)), str(e.frames),
+            ])  # fmt: skip
+    if not rows:
+        return None
+    headings = (
+        "<estimator", "<body", "poses", "ATE m", "ATE deg", "RPE m", "RPE deg", "frames",
+    )  # fmt: skip
+    note = (
+        "root mean squares; ATE: after the estimate is fitted to the truth (Umeyama, no scale); "
+        "RPE: of all pairs of poses that are so many frames apart, about 1 s"
+    )
+    return tabulate("poses", headings, rows, note)
 
 
 def held_out(found: Replay) -> Table | None:
@@ -100,17 +150,23 @@ def render(found: Replay) -> Group:
     source = ", ".join(dict.fromkeys(part.table.path.name for part in log.channels))
     parts: list[Any] = [
         Text(visible(f"{scenario.name} on {source}: {log.duration:.6g} s, {len(log.instants)} "
-             "instants, no truth"), style="bold"),
+             f"instants{'' if log.truth else ', no truth'}"), style="bold"),
     ]  # fmt: skip
     parts += [Text(visible(f"note: {line}"), style="yellow") for line in log.notices]
-    for table in (rates(log), verdicts(found), by_channel(found), held_out(found)):
+    tables = (
+        rates(log), verdicts(found), accuracy(found), moving(found), by_channel(found),
+        held_out(found),
+    )  # fmt: skip
+    for table in tables:
         if table is not None:
             parts += [Text(table.title, style="bold"), table, Text(table.note, style="dim")]
     for r in found.replayed:
-        if r.innovations.reason:
-            parts.append(Text(visible(f"{r.label}: {r.innovations.reason}")))
+        if r.summary.reason:
+            parts.append(Text(visible(f"{r.label}: {r.summary.reason}")))
         if r.failure:
             parts.append(Text(visible(f"{r.label} failed at {r.failure}"), style="red"))
+    if found.folder is not None:
+        parts.append(Text(f"written to {found.folder}"))
     return Group(*parts)
 
 
@@ -130,7 +186,9 @@ def to_dict(found: Replay) -> dict[str, Any]:
             }
             for part in log.channels
         },
-        "estimators": {r.label: _plain(r, found.fused) for r in found.replayed},
+        "folder": None if found.folder is None else str(found.folder),
+        "truth": log.truth is not None,
+        "estimators": {r.label: _plain(r, found) for r in found.replayed},
     }
 
 
@@ -139,15 +197,25 @@ def to_json(found: Replay) -> str:
     return json.dumps(to_dict(found), indent=2, allow_nan=False)
 
 
-def _plain(r: Replayed, fused: tuple[str, ...]) -> dict[str, Any]:
-    judged = r.innovations
+def _plain(r: Replayed, found: Replay) -> dict[str, Any]:
+    judged, space = r.innovations, found.prepared.space
+    spaces = found.prepared.channel_spaces
     return {
-        "verdict": str(judged.verdict),
-        "reason": judged.reason,
+        "verdict": str(r.summary.verdict),
+        "reason": r.summary.reason,
         "failure": r.failure,
         "updates": r.updates,
         "nis": _bounds(judged.nis),
-        "nis_by_channel": {n: _bounds(i) for n, i in zip(fused, judged.channels)},
+        "nis_by_channel": {
+            n: _bounds(i) for n, i in zip(spaces, judged.channels) if n in found.fused
+        },
+        "nees": _bounds(r.summary.anees),
+        "rmse": {
+            name: {"unit": unit, **_bounds(rmse)}
+            for name, unit, rmse in zip(space.names, space.units, r.summary.rmse)
+            if np.isfinite(rmse.value)
+        },
+        "poses": {n: _finite_all(vars(e)) for n, e in r.trajectories.items()},
         "log_likelihood": _finite(r.log_likelihood),
         "lag_one": _finite(judged.lag_one),
         "whiteness_p": _finite(r.white.p) if r.white else None,
@@ -169,7 +237,11 @@ def _predicted(p: Prediction) -> dict[str, Any]:
 
 
 def _bounds(interval: Interval) -> dict[str, float | None]:
-    return {k: _finite(v) for k, v in vars(interval).items()}
+    return _finite_all(vars(interval))
+
+
+def _finite_all(values: dict[str, Any]) -> dict[str, float | None]:
+    return {k: _finite(v) for k, v in values.items()}
 
 
 def _finite(value: float) -> float | None:

@@ -9,6 +9,7 @@ from estbench.errors import LogError
 from estbench.logs import clock, controls, readings
 from estbench.logs.readings import ChannelReadings
 from estbench.logs.table import LogTable
+from estbench.logs.truth import Truth
 from estbench.scenario.log import LogSection
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
@@ -28,6 +29,7 @@ class Log:
         u: controls over each of them `(instant, nu)`.
         lateness: longest time from taking to arrival, ticks.
         notices: what looks wrong.
+        truth: at the start and the instants, in its own frame; None where the log has none.
     """
 
     channels: tuple[ChannelReadings, ...]
@@ -36,6 +38,7 @@ class Log:
     u: Float[Array, "time-1 nu"]
     lateness: int
     notices: tuple[str, ...]
+    truth: Truth | None = None
 
     @property
     def duration(self) -> float:

@@ -43,7 +43,7 @@ def events_of_entries(entries: Sequence[Entry], runs: Sequence[int]) -> list[dic
     out = []
     for entry in entries:
         whose = id(entry) if _own_truth(entry) else id(entry.source)
-        if whose not in known and entry.source.has_traces:
+        if whose not in known and entry.source.has_traces and entry.source.log is None:
             there = [run for run in runs if entry.position(run) is not None]
             known[whose] = dict(zip(there, events(entry, there))) if there else {}
         out.append(known.get(whose, {}))

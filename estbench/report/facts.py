@@ -41,6 +41,7 @@ class Facts:
         differences: how the filter's model differs from the truth, one line each.
         toml: the scenario as it was run.
         problem: why the robot could not be built, or "".
+        log: whether it is a replay: the filter's model is then compared with no other.
     """
 
     title: str
@@ -52,16 +53,27 @@ class Facts:
     differences: tuple[str, ...]
     toml: str
     problem: str
+    log: bool
 
 
 def verdict(entry: Entry, steps: Steps) -> str:
     """The verdict on one estimator in one or two sentences."""
     s = entry.summary
     good = s.runs - round(s.diverged * s.runs)
-    text = f"NEES/n is {quantity(s.anees)} over {good} runs" if good else "No run is left"
+    rows = "runs" if entry.source.log is None else "parts of the log"
+    what = f"NEES/n is {quantity(s.anees)}" if s.truth else f"NIS/m is {quantity(s.anis)}"
+    text = f"{what} over {good} {rows}" if good else f"No {rows[:-1]} is left"
     if s.verdict is Verdict.CONSISTENT:
-        text += ": its errors are as large as its covariance says"
-    elif s.verdict in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE) and 1 not in s.anees:
+        text += (
+            ": its errors are as large as its covariance says"
+            if s.truth
+            else ": its innovations are as large as their covariance says"
+        )
+    elif (
+        s.verdict in (Verdict.OVERCONFIDENT, Verdict.CONSERVATIVE)
+        and s.truth
+        and (1 not in s.anees)
+    ):
         size = "larger" if s.anees.value > 1 else "smaller"
         # Not RMSE/σ of one coordinate: with correlated coordinates each may be nearer to 1.
         root = f"{math.sqrt(max(s.anees.value, 0)):.3g}"
@@ -101,15 +113,31 @@ def causes(entry: Entry) -> tuple[Finding, ...]:
 def facts(source: Stored) -> Facts:
     """Facts about the scenario; those that need the robot are empty if its file is missing."""
     scenario, attrs = source.scenario, source.attrs
-    simulation = scenario.simulation
+    simulation, log = scenario.simulation, source.log
     count = f"{len(source.runs)}"
     if len(source.runs) < source.total:
         count += f" finished of {source.total}"
+    of_log = (
+        []
+        if log is None
+        else [
+            ("log", ", ".join(log["files"])),
+            ("held out", ", ".join(log["held_out"]) or "no channel"),
+            ("truth", "known, at least in part" if log["truth"] else "not known"),
+        ]
+    )
     rows = [
+        *of_log,
         ("runs", count),
         ("duration", f"{source.times[-1]:g} s in {len(source.times) - 1} instants"),
-        ("seed", f"{attrs.get('seed', simulation.seed)}"),
-        ("control", f"{scenario.control.kind}, seeing {seen(scenario)}"),
+        *(
+            []
+            if log
+            else [
+                ("seed", f"{attrs.get('seed', simulation.seed)}"),
+                ("control", f"{scenario.control.kind}, seeing {seen(scenario)}"),
+            ]
+        ),
         ("estimators", ", ".join(attrs["estimators"])),
         ("robot", scenario.model.path),
         *(
@@ -125,7 +153,8 @@ def facts(source: Stored) -> Facts:
         model = prepared.plant.model
         integrator = next(k for k, v in mjcf.INTEGRATORS.items() if v == model.opt.integrator)
         rows.insert(
-            2, ("physics", f"{model.opt.timestep:g} s x {scenario.model.frame_skip}, {integrator}")
+            2 + len(of_log),
+            ("physics", f"{model.opt.timestep:g} s x {scenario.model.frame_skip}, {integrator}"),
         )
         channels = describe(prepared.channels, scenario.filter)
         noise = _noise(prepared)
@@ -134,7 +163,7 @@ def facts(source: Stored) -> Facts:
     return Facts(
         source.title, scenario.description, tuple(rows), HEADINGS,
         tuple(channel.row() for channel in channels), noise,
-        tuple(_differences(source, channels)), scenario.to_toml(), problem,
+        tuple(_differences(source, channels)), scenario.to_toml(), problem, log is not None,
     )  # fmt: skip
 
 

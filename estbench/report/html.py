@@ -36,11 +36,11 @@ NAMED = 6
 """Most estimators in the page's title."""
 SECTIONS = (
     ("verdicts", "Verdicts"), ("scenario", "Scenario"), ("comparison", "Comparison"),
-    ("error", "Error"), ("consistency", "Consistency"), ("rmse", "RMSE"),
-    ("coverage", "Coverage"), ("correlation", "Autocorrelation"), ("budget", "Error budget"),
-    ("diverged", "Diverged"), ("cost", "Cost"),
+    ("error", "Error"), ("innovations", "Innovations"), ("consistency", "Consistency"),
+    ("rmse", "RMSE"), ("coverage", "Coverage"), ("correlation", "Autocorrelation"),
+    ("budget", "Error budget"), ("diverged", "Diverged"), ("cost", "Cost"),
 )  # fmt: skip
-OPTIONAL = ("error", "coverage", "correlation", "budget")
+OPTIONAL = ("error", "innovations", "rmse", "coverage", "correlation", "budget")
 """Sections that are there only with their figures."""
 Say = Callable[[str], None]
 
@@ -129,7 +129,8 @@ def render(
         rmse=tables.rmse(entries),
         headings=[s.heading_in("report") for s in shown],
         more_headings=[s.heading for s in each[1:]],
-        ideals=statistics.ideals("report"),
+        ideals=statistics.ideals("report", summaries),
+        across="runs" if all(s.log is None for s in sources) else "runs, or parts of a log",
         rmse_notes=[*(s.note for s in each if s.note), *lost_note([e.summary for e in entries])],
         lag_one=LAG_ONE.heading,
         phases=tables.by_phase(entries),
@@ -150,6 +151,7 @@ def render(
         events=[(kind, sign) for kind, (_, _, sign) in palette.EVENTS.items()
                 if any(kind in run for of_runs in events for run in of_runs.values())],
         exact=has_traces,
+        truth=material.truth,
         clips=clips,
         no_clips=problem,
         outside=tables.outside(entries, of_traces),

@@ -50,15 +50,18 @@ class Difference:
 
 def differences(entries: Sequence[Entry]) -> list[Difference]:
     """Each entry minus each other one, over the runs that all sources have; [] without any."""
+    if any(entry.source.log for entry in entries) and not _one_log(entries):
+        return []
     runs = reduce(np.intersect1d, [entry.source.runs for entry in entries])
     if len(entries) < 2 or not len(runs):
         return []
     level = entries[0].source.level
     values, scores = {}, {}
     for entry in entries:
-        rows = np.isin(entry.source.runs, runs)
-        lost = ~entry.good[rows]
-        mse, nees = entry.record["mse"][rows], entry.record["anees"][rows]
+        record = entry.sample
+        rows = np.isin(entry.source.runs, runs) if entry.source.log is None else slice(None)
+        lost = record["diverged"].astype(bool)[rows]
+        mse, nees = record["mse"][rows], record["anees"][rows]
         scores[entry.key] = score(mse, lost)
         table = np.concatenate([nees[:, None], np.sqrt(mse)], axis=1)
         values[entry.key] = np.where(lost[:, None], np.inf, table)
@@ -76,6 +79,12 @@ def differences(entries: Sequence[Entry]) -> list[Difference]:
         one = Difference(a.key, b.key, cost, pair, nees, tuple(rmse), adjusted)
         out += [one, one.reversed()]
     return out
+
+
+def _one_log(entries: Sequence[Entry]) -> bool:
+    """Whether all are of one log with truth, and were given the same readings."""
+    logs = [entry.source.log for entry in entries]
+    return logs[0] is not None and logs[0]["truth"] and all(log == logs[0] for log in logs)
 
 
 def _negative(p: Paired) -> Paired:

@@ -48,7 +48,7 @@ def clips(entries: Sequence[Entry], say: Say) -> tuple[list[dict[str, Any]], str
                     "poster": "data:image/jpeg;base64," + base64.b64encode(poster).decode(),
                     "width": look.width,
                     "speed": repr(speed),
-                    "caption": f"The {what} run by NEES: run {run} of {entry.key}"
+                    "caption": _caption(what, entry, run)
                     + (f", {speed:.3g} times as fast." if speed > 1 else "."),
                 }
             )
@@ -57,9 +57,17 @@ def clips(entries: Sequence[Entry], say: Say) -> tuple[list[dict[str, Any]], str
     return out, ""
 
 
+def _caption(what: str, entry: Entry, run: int) -> str:
+    if entry.source.log:
+        return f"{entry.key} on the log"
+    return f"The {what} run by NEES: run {run} of {entry.key}"
+
+
 def _extremes(entries: Sequence[Entry]) -> list[tuple[str, Entry, int]]:
     """The runs with the least and the greatest time-averaged NEES/n of all entries with traces."""
     found = []
+    if all(entry.source.log for entry in entries):
+        return [("log", entries[0], 0)]
     for entry in entries:
         if entry.source.has_traces:
             anees = np.where(np.isfinite(entry.record["anees"]), entry.record["anees"], np.inf)

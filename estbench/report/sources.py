@@ -35,6 +35,11 @@ class Entry:
     summary: Summary
 
     @property
+    def sample(self) -> Record:
+        """The record of the runs; of a log, which is one run, that of its parts."""
+        return self.record if self.source.log is None else self.source.samples[self.label]
+
+    @property
     def good(self) -> NDArray[np.bool_]:
         """Which runs of the record did not diverge."""
         return ~self.record["diverged"].astype(bool)

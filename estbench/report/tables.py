@@ -178,6 +178,19 @@ def notices(entries: Sequence[Entry], statistics: Sequence[TraceStatistics | Non
             out.append(
                 f"{source.title} is unfinished: {len(source.runs)} of {source.total} runs are done."
             )
+        if source.log is not None:
+            missing = (
+                ""
+                if source.has_truth
+                else (
+                    " The truth is not known: the verdict is of the innovations, and what needs "
+                    "the truth is left out."
+                )
+            )
+            out.append(
+                f"{source.title} is a replay of the {source.origin.split(', one run')[0]}, which "
+                f"is one run: parts of its time take the place of runs.{missing}"
+            )
         if said := mixed(known(source.attrs)):
             out.append(f"{source.title}: {said}.")
     bare = [e.source.title for e, t in zip(entries, statistics) if t is None]

@@ -4,7 +4,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from estbench.scenario.quantities import Delay, Duration, Number, Positive, Section
+from estbench.scenario.quantities import (
+    Delay,
+    Duration,
+    NonNegative,
+    Number,
+    Positive,
+    Section,
+)
 
 Clock = Literal["s", "ms", "us", "ns"]
 """Units of time stamps."""
@@ -29,6 +36,38 @@ class LogChannel(LogColumns):
         None, description="column of the time at which it was taken, if `time` is that of arrival"
     )
     latency: Number = Field(0.0, description="s by which it was taken before its time stamp")
+
+
+class TruthColumns(LogColumns):
+    """The columns of a part of the true state."""
+
+    time: str | None = Field(None, description="column of its time stamps; default that of truth")
+    noise: NonNegative | list[NonNegative] = Field(
+        0.0, description="σ of the truth itself, of each tangent coordinate, in SI units"
+    )
+
+
+class TruthSection(Section):
+    """Where a log has the true state, as of motion capture."""
+
+    time: str | None = Field(None, description="column of its time stamps; default that of [log]")
+    offset: Number = Field(0.0, description="s that are added to its time stamps")
+    longest_gap: Positive = Field(0.1, description="s over which it is interpolated at most")
+    frame: Literal["model", "given", "estimated"] = Field(
+        "model",
+        description="its frame: that of the model, one that `translation` and `rotation` turn into "
+        "it, or one that is fitted to the estimated positions (Umeyama)",
+    )
+    translation: Annotated[list[Number], Field(min_length=3, max_length=3)] = Field(
+        [0.0, 0.0, 0.0], description="m; x_model = R x_truth + translation"
+    )
+    rotation: Annotated[list[Number], Field(min_length=4, max_length=4)] = Field(
+        [1.0, 0.0, 0.0, 0.0], description="R as a quaternion w, x, y, z"
+    )
+    states: dict[str, TruthColumns] = Field(
+        default_factory=dict,
+        description="a joint, JOINT.vel, JOINT.position, JOINT.rotation or one number of the state",
+    )
 
 
 class LogSection(Section):
@@ -56,3 +95,4 @@ class LogSection(Section):
     controls: dict[str, LogColumns] = Field(
         default_factory=dict, description="actuator = where it is; one that is left out is at rest"
     )
+    truth: TruthSection | None = Field(None, description="where the true state is")

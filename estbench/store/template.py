@@ -24,7 +24,7 @@ def labels(setup: Setup, keep: str) -> Labels:
 
     Args:
         setup: the experiment.
-        keep: `summary`, `diagonal` or `full`.
+        keep: `summary`, `diagonal`, `full` or `log`.
     """
     space, seen = setup.space, readings(setup.channel_spaces)
     texts = {
@@ -36,7 +36,7 @@ def labels(setup: Setup, keep: str) -> Labels:
     }
     if keep != "summary":
         texts["state"] = ("state", state_names(space))
-    if keep == "full":
+    if keep in ("full", "log"):
         texts |= {"reading": ("reading", seen), "reading_": ("reading_", seen)}
     return {
         "run": ("run", np.arange(setup.scenario.simulation.runs)),
@@ -46,28 +46,37 @@ def labels(setup: Setup, keep: str) -> Labels:
 
 
 def declare(
-    root: zarr.Group, setup: Setup, keep: str, batches: Sequence[range], dtype: str
+    root: zarr.Group,
+    setup: Setup,
+    keep: str,
+    batches: Sequence[range],
+    dtype: str,
+    more: Mapping[str, Any],
 ) -> None:
     """Declare every array of a store.
 
     Args:
         root: an empty group.
         setup: the experiment.
-        keep: `summary`, `diagonal` or `full`.
+        keep: `summary`, `diagonal`, `full` or `log`.
         batches: the runs of each batch; all but the last have the same length.
         dtype: of the traces, `float64` or `float32`; averages are always float64.
+        more: attributes.
     """
     sizes = {**lengths(setup), "batch": len(batches)}
     chunk = {**sizes, "run": len(batches[0]), "batch": 1}
     root.attrs.update(
-        {**provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]), "dtype": dtype}
-    )
+        {
+            **provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]),
+            "dtype": dtype, **more,
+        }
+    )  # fmt: skip
     write_labels(root, labels(setup, keep))
     root["time"].attrs["units"] = "s"
 
     def group(path: str, table: Mapping[str, Field], kind: str | None = None) -> None:
         for name, field in table.items():
-            array = root.create_array(
+            root.create_array(
                 f"{path}/{name}".strip("/"),
                 shape=tuple(sizes[d] for d in field.dims),
                 chunks=tuple(chunk[d] for d in field.dims),
@@ -75,8 +84,8 @@ def declare(
                 dimension_names=field.dims,
                 fill_value=np.nan if field.dtype.startswith("f") else 0,
                 compressors=Crc32cCodec(),  # noise does not compress; corruption must not pass
+                attributes={"meaning": field.meaning},
             )
-            array.attrs["meaning"] = field.meaning
 
     live = setup.scenario.control.observe == "estimate"
     group("", {"done": DONE})

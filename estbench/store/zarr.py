@@ -15,7 +15,7 @@ import re
 import shutil
 import tomllib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,6 +35,7 @@ from estbench.store.metadata import STORE, UNREADABLE
 from estbench.store.template import declare, labels
 
 SCENARIO, COSTS = "scenario.toml", "costs"
+NO_MORE: Mapping[str, Any] = {}
 
 
 def default_folder(name: str) -> Path:
@@ -50,7 +51,7 @@ class Store:
 
     Attributes:
         folder: its path.
-        keep: what is stored of each run: `summary`, `diagonal` or `full`.
+        keep: what is stored of each run: `summary`, `diagonal`, `full` or `log`.
         dtype: of the traces.
         batches: the runs of each batch.
         restored: names of the files that were damaged and that `reopen` wrote again.
@@ -71,16 +72,23 @@ class Store:
 
     @classmethod
     def create(
-        cls, folder: Path, setup: Setup, keep: str, batch_size: int, dtype: str = "float64"
+        cls,
+        folder: Path,
+        setup: Setup,
+        keep: str,
+        batch_size: int,
+        dtype: str = "float64",
+        more: Mapping[str, Any] = NO_MORE,
     ) -> "Store":
         """Make the folder with an empty store, completely or not at all.
 
         Args:
             folder: must not exist.
             setup: the experiment.
-            keep: `summary`, `diagonal` or `full`.
+            keep: `summary`, `diagonal`, `full`, or `log` for a recorded log.
             batch_size: runs per batch, one chunk.
             dtype: of the traces, `float64` or `float32`; averages are always float64.
+            more: attributes of the store.
 
         Raises:
             StoreError: the folder exists or cannot be written.
@@ -101,7 +109,7 @@ class Store:
                     (draft / name).write_text(text, encoding="utf-8")
                 (draft / COSTS).mkdir()
                 root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
-                declare(root, setup, keep, batches, dtype)
+                declare(root, setup, keep, batches, dtype, more)
                 metadata.seal(draft, texts, labels(setup, keep))
                 draft.rename(folder)
         except BaseException as error:

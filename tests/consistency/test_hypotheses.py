@@ -28,7 +28,8 @@ def found(record):
 
 def test_every_kind_has_a_weight_and_its_variables():
     assert set(WEIGHTS) == set(VARIABLES) == set(Kind)
-    assert sum(WEIGHTS.values()) - WEIGHTS[Kind.NEES_PHASE] == pytest.approx(1.0)
+    some = WEIGHTS[Kind.NEES_PHASE] + WEIGHTS[Kind.INNOVATION]  # of robots with contact, of logs
+    assert sum(WEIGHTS.values()) - some == pytest.approx(1.0)
 
 
 def test_how_many_hypotheses_there_are(found):
@@ -37,7 +38,7 @@ def test_how_many_hypotheses_there_are(found):
         Kind.NEES: 1, Kind.NEES_BLOCK: 10, Kind.NEES_SIZE: 2, Kind.NEES_RUNS: 0, Kind.COORDINATE: 2,
         Kind.COORDINATE_BLOCK: 20, Kind.BIAS: 2, Kind.BIAS_BLOCK: 20, Kind.NIS: 1, Kind.CHANNEL: 2,
         Kind.WHITENESS: LAGS, Kind.NIS_BLOCK: 10, Kind.NEES_PHASE: 0, Kind.NEES_ALONG: 2,
-        Kind.COORDINATE_SIZE: 4,
+        Kind.COORDINATE_SIZE: 4, Kind.INNOVATION: 0,
     }  # fmt: skip
     places = {(h.coordinate, h.block) for h in found if h.kind is Kind.BIAS_BLOCK}
     assert places == {(c, b) for c in range(2) for b in range(10)}

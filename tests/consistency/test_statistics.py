@@ -43,7 +43,8 @@ MEAN_SIZE = Statistic(
 
 
 def test_a_summary_has_one_attribute_for_each_statistic():
-    own = {"label", "runs", "judgement", "reason", "failures", "late", "gated", "known", "rank"}
+    own = {"label", "runs", "judgement", "reason", "failures", "late", "gated", "known", "rank",
+           "truth"}  # fmt: skip
     assert {f.name for f in dataclasses.fields(Summary)} - own == {s.name for s in STATISTICS}
 
 

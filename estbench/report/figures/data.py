@@ -5,7 +5,7 @@ drawn.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -66,10 +66,10 @@ class Steps:
 
 def coverage(entry: Entry) -> tuple[Coverage, ...] | None:
     """Coverage of each coordinate across runs; None for stores of older versions."""
-    shares = inside_shares(entry.record)
-    if shares is None:
+    shares = inside_shares(entry.sample)
+    if shares is None or not entry.source.has_truth:
         return None
-    each = shares[entry.good].swapaxes(0, 1)
+    each = shares[~entry.sample["diverged"].astype(bool)].swapaxes(0, 1)
     return tuple(shares_inside(runs, entry.source.level) for runs in each)
 
 
@@ -81,7 +81,10 @@ def nees_steps(entry: Entry) -> Steps:
         dof = record["rank_sum"].sum(axis=0) / np.maximum(runs, 1)
     else:  # an older store: P has full rank
         dof = np.full(len(runs), float(entry.source.n))
-    return _steps(entry, record["nees_sum"].sum(axis=0), dof, runs)
+    found = _steps(entry, record["nees_sum"].sum(axis=0), dof, runs)
+    if entry.source.log is None:
+        return found
+    return replace(found, counts=found.counts & np.isfinite(found.mean))  # truth may have gaps
 
 
 def nis_steps(entry: Entry) -> Steps:

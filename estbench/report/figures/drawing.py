@@ -77,6 +77,11 @@ class Material:
             self.channels.append(innovations.by_channel(entry))
 
     @property
+    def truth(self) -> bool:
+        """Whether the truth of any entry is known."""
+        return any(entry.source.has_truth for entry in self.entries)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Coordinates, the same for all entries."""
         return self.entries[0].source.names

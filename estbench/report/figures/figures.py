@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from estbench.consistency.coverage import SIGMAS
-from estbench.report.figures import data, palette, spreads
+from estbench.report.figures import data, palette, residuals, spreads
 from estbench.report.figures.data import thin
 from estbench.report.figures.drawing import (
     BAND,
@@ -27,8 +27,12 @@ def drawings(material: Material) -> dict[str, list[Drawing]]:
     n = range(len(material.names))
     out = {
         "verdict": [spreads.verdict(material)],
-        "consistency": [_steps(material, "nees"), _steps(material, "nis")],
-        "rmse": [_rmse(material, i) for i in n],
+        "consistency": [
+            *([_steps(material, "nees")] if material.truth else []),
+            _steps(material, "nis"),
+        ],
+        "innovations": residuals.drawings(material),
+        "rmse": [_rmse(material, i) for i in n] if material.truth else [],
         "cost": [spreads.cost(material)],
         "error": [],
         "coverage": [],
@@ -37,12 +41,13 @@ def drawings(material: Material) -> dict[str, list[Drawing]]:
     }
     if any(material.coverage):
         out["coverage"] = [spreads.coverage(material, k) for k in range(len(SIGMAS))]
-    if any(material.traces):
+    if any(material.traces) and material.truth:
         out["error"] = [_run_nees(material), *(_error(material, i) for i in n)]
         out["density"] = [
             spreads.nees_density(material),
             *(spreads.error_density(material, i) for i in n),
         ]
+    if any(material.traces):
         out["correlation"].append(spreads.correlation(material))
     return out
 

@@ -33,7 +33,8 @@ def whole(entry: Entry) -> Correlation | None:
     """Correlation of all channels together, or None if the store has no lag products."""
     if "lags" not in entry.record:
         return None
-    return _correlation(entry, entry.record["lags"], entry.record["lag_terms"])
+    good = ~entry.sample["diverged"].astype(bool)
+    return _correlation(entry, entry.sample["lags"][good], entry.sample["lag_terms"][good])
 
 
 def by_channel(entry: Entry) -> dict[str, Correlation]:
@@ -52,7 +53,8 @@ def by_channel(entry: Entry) -> dict[str, Correlation]:
         columns = list(range(start, start + space.n))
         start += space.n
         sums, terms = zip(*_products(entry, columns), strict=True)
-        found = _correlation(entry, np.concatenate(sums), np.concatenate(terms))
+        good = entry.good
+        found = _correlation(entry, np.concatenate(sums)[good], np.concatenate(terms)[good])
         if found is not None:
             out[channel] = found
     return out
@@ -77,7 +79,6 @@ def _products(entry: Entry, columns: list[int]) -> Iterator[tuple[Array, NDArray
 
 
 def _correlation(entry: Entry, sums: Array, terms: NDArray[np.int64]) -> Correlation | None:
-    sums, terms = sums[entry.good], terms[entry.good]
     found = whiteness(sums, terms, entry.source.level)
     if found is None:
         return None

@@ -10,7 +10,7 @@ from scipy import stats
 from estbench.consistency.coverage import EXPECTED, SIGMAS
 from estbench.errors import EstbenchError, MissingExtraError, StoreError, did_you_mean
 from estbench.report import contact
-from estbench.report.figures import around, data, innovations, palette, traces
+from estbench.report.figures import around, data, innovations, palette, residuals, traces
 from estbench.report.figures.data import Steps, thin
 from estbench.report.figures.frame import Paper, event_mark, figure_of, grid, legend, style
 from estbench.report.figures.paper import check_format, write
@@ -24,6 +24,7 @@ except ImportError:
 
 T = TypeVar("T")
 _NEED_TRACES = ("error", "histogram", "touch-down")
+_NEED_TRUTH = ("nees", "error", "rmse", "coverage", "histogram", "touch-down")
 
 
 def plot(paper: Paper, what: str, path: Path) -> None:
@@ -44,6 +45,12 @@ def plot(paper: Paper, what: str, path: Path) -> None:
     if what in _NEED_TRACES and not all(e.source.has_traces for e in paper.entries):
         raise StoreError(
             f"--what {what} needs traces, and this store kept none; run with --keep diagonal"
+        )
+    bare = [e.source.folder for e in paper.entries if not e.source.has_truth]
+    if what in _NEED_TRUTH and bare:
+        raise StoreError(
+            f"--what {what} needs the truth, and {bare[0]} is a replay without it; use nis, "
+            "innovation or autocorrelation"
         )
     write(lambda: KINDS[what](paper), path)
 
@@ -154,6 +161,37 @@ def _touch_down(paper: Paper) -> Figure:
     return figure
 
 
+def _innovation(paper: Paper) -> Figure:
+    """Innovations of one run with ±1σ and ±3σ, one panel for each component."""
+    run = paper.run or 0
+    for entry in paper.entries:
+        if entry.position(run) is None:
+            raise entry.no_run(run)
+    found = [{r.name: r for r in residuals.residuals(e, run)} for e in paper.entries]
+    names = list(dict.fromkeys(name for components in found for name in components))
+    if not names:
+        raise StoreError(
+            f"--what innovation needs innovations, and {paper.entries[0].source.folder} kept none; "
+            "run with --keep full"
+        )
+    figure, panels = grid(paper, len(names))
+    for ax, name in zip(panels, names):
+        for k, components in enumerate(found):
+            if (r := components.get(name)) is None:
+                continue
+            for sigmas, alpha in ((3, 0.13), (1, 0.2)):
+                ax.fill_between(
+                    r.time, -sigmas * r.std, sigmas * r.std, color=palette.colour(k), alpha=alpha,
+                    lw=0,
+                )  # fmt: skip
+            ax.plot(r.time, r.value, **style(k), lw=0.7)
+            ax.set_ylabel(f"{name} ({r.unit})" if r.unit else name)
+        ax.margins(x=0.01)
+    legend(figure, paper, panels[0])
+    figure.supxlabel(f"innovation of run {run} with ±1σ and ±3σ", fontsize=7, color="#555555")
+    return figure
+
+
 def _statistics(paper: Paper) -> list[traces.TraceStatistics]:
     return [s for s in map(traces.statistics, paper.entries) if s is not None]
 
@@ -247,4 +285,5 @@ KINDS: dict[str, Callable[[Paper], Figure]] = {
     "histogram": _histogram,
     "autocorrelation": _autocorrelation,
     "touch-down": _touch_down,
+    "innovation": _innovation,
 }

@@ -24,11 +24,13 @@ except ImportError:
 
 
 def verdict(material: Material) -> Drawing:
-    """NEES/n of each entry with its interval, against 1 ± tolerance."""
+    """NEES/n of each entry with its interval, against 1 ± tolerance; NIS/m without truth."""
+    what = "NEES/n" if material.truth else "NIS/m"
     tolerance = material.entries[0].source.scenario.consistency.tolerance
-    traces = []
+    traces, found = [], list[float]()
     for k, entry in enumerate(material.entries):
-        i = entry.summary.anees
+        i = entry.summary.anees if material.truth else entry.summary.anis
+        found.append(i.value)
         spread = {"array": [i.high - i.value], "arrayminus": [i.value - i.low], "type": "data"}
         finite = np.isfinite([i.low, i.high]).all()
         traces.append(
@@ -39,9 +41,8 @@ def verdict(material: Material) -> Drawing:
                 meta={"entry": entry.key, "role": "anees", "always": True},
             )
         )  # fmt: skip
-    values = [e.summary.anees.value for e in material.entries]
-    wide = max(values, default=1) > 5 or min(values, default=1) < 0.2
-    layout: dict[str, Any] = axes("NEES/n", "") | {
+    wide = max(found, default=1) > 5 or min(found, default=1) < 0.2
+    layout: dict[str, Any] = axes(what, "") | {
         "shapes": [
             {"type": "rect", "xref": "x", "yref": "paper", "x0": 1 - tolerance,
              "x1": 1 + tolerance, "y0": 0, "y1": 1, "fillcolor": BAND, "line": {"width": 0},
@@ -50,8 +51,9 @@ def verdict(material: Material) -> Drawing:
     }  # fmt: skip
     layout["xaxis"] |= {"type": "log"} if wide else {}
     layout["yaxis"] |= {"automargin": True, "autorange": "reversed"}
-    title = f"NEES/n with its interval across runs; 1 ± {tolerance:g} is consistent"
-    return drawing("verdict", title, traces, layout, 90 + 30 * len(values))
+    across = "runs" if material.entries[0].source.log is None else "the parts of the log"
+    title = f"{what} with its interval across {across}; 1 ± {tolerance:g} is consistent"
+    return drawing("verdict", title, traces, layout, 90 + 30 * len(found))
 
 
 def coverage(material: Material, k: int) -> Drawing:

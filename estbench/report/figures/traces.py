@@ -154,7 +154,7 @@ def _outside(values: Array, dof: NDArray, level: float) -> Array:
     low, high = np.zeros(int(dof.max(initial=0)) + 1), np.zeros(int(dof.max(initial=0)) + 1)
     for m in sizes:
         low[m], high[m] = chi_square_band(float(m), 1, level)
-    used = np.broadcast_to(dof > 0, values.shape)
+    used = np.broadcast_to(dof > 0, values.shape) & np.isfinite(values)
     with np.errstate(invalid="ignore"):
         out = used & ((values < low[dof]) | (values > high[dof]))
     return np.array([out.sum(), used.sum()], float)

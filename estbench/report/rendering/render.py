@@ -67,11 +67,13 @@ class Renderer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def draw(self, x: Array, estimate: Array | None = None, cov: Array | None = None) -> NDArray:
+    def draw(
+        self, x: Array | None, estimate: Array | None = None, cov: Array | None = None
+    ) -> NDArray:
         """One picture `(height, width, 3)` of unsigned bytes.
 
         Args:
-            x: true state `(nx,)`.
+            x: true state `(nx,)`; None if it is not known: the robot is then at the estimate.
             estimate: x̂ `(nx,)`; no ghost if None or not finite.
             cov: P `(n, n)`; no ellipsoid if None.
         """
@@ -82,10 +84,11 @@ class Renderer:
         mujoco.mjr_readPixels(pixels, None, self._rect, self._mjr)
         return pixels[::-1]
 
-    def update(self, x: Array, estimate: Array | None, cov: Array | None) -> range:
+    def update(self, x: Array | None, estimate: Array | None, cov: Array | None) -> range:
         """Fill the scene and return the indices of the ghost's geoms."""
-        if np.isfinite(x).all():
-            pose(self.model, self._truth, x)
+        shown = estimate if x is None else x
+        if shown is not None and np.isfinite(shown).all():
+            pose(self.model, self._truth, shown)
         if self._follows:
             self.camera.lookat = self._truth.subtree_com[0]
         mujoco.mjv_updateScene(
@@ -94,7 +97,9 @@ class Renderer:
         )  # fmt: skip
         if estimate is None:
             return range(0)
-        return add_belief(self.scene, self.model, self._ghost, estimate, cov, self._option)
+        return add_belief(
+            self.scene, self.model, self._ghost, estimate, cov, self._option, ghost=x is not None
+        )
 
 
 def _free(gl: Any, mjr: mujoco.MjrContext) -> None:

@@ -14,7 +14,7 @@ from estbench.experiment import contact, setup
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.batch import traced
 from estbench.report import contact as stored_contact
-from estbench.report.sources import Entry, load
+from estbench.report.sources import Entry, load, read
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.store.metadata import STORE
@@ -33,12 +33,14 @@ class Replay:
         truth: x `(K + 1, nx)`.
         estimate: x̂ `(K + 1, nx)`.
         cov: P `(K + 1, n, n)`; only its diagonal where `correlated` is False.
-        nees: NEES/n `(K + 1,)`.
-        band: bounds of NEES/n of one run with a consistent estimator.
+        nees: NEES/n `(K + 1,)`; NIS/m where the truth is not known.
+        band: bounds of it of one run with a consistent estimator.
         level: probability of the band.
         correlated: whether the covariances between coordinates are known.
         touching: whether the true robot touches anything `(K + 1,)`; None where it cannot.
         events: kind -> times of the events of contact, s.
+        what: `NEES/n` or `NIS/m`.
+        log: whether it is of a recorded log, where the truth is NaN while it is not known.
     """
 
     name: str
@@ -55,6 +57,8 @@ class Replay:
     correlated: bool
     touching: NDArray[np.bool_] | None = None
     events: Mapping[str, Array] = field(default_factory=dict)
+    what: str = "NEES/n"
+    log: bool = False
 
 
 def replay(
@@ -95,6 +99,8 @@ def of_entry(entry: Entry, run: int) -> Replay:
     stored estimate, else P is diagonal with the stored variances.
     """
     source = entry.source
+    if source.log is not None:
+        return of_log(entry, run)
     if not source.has_traces:
         return simulated(source.scenario, run, entry.label)
     place = entry.position(run)
@@ -113,6 +119,30 @@ def of_entry(entry: Entry, run: int) -> Replay:
     return _replay(
         prepared, entry.label, run, truth, estimate, cov, group["nees"].values,
         source.rank(group), correlated,
+    )  # fmt: skip
+
+
+def of_log(entry: Entry, run: int) -> Replay:
+    """A replayed log; what is not known of the truth is that of the estimate."""
+    source, group = entry.source, entry.group.isel(run=entry.position(run))
+    prepared = setup.build(source.scenario)
+    estimate = group["estimate"].values
+    truth = read(source.tree, "truth/x")[0]
+    known = np.isfinite(truth).any(axis=1)
+    ratio, rank = group["nees"].values, source.rank(group)
+    if not source.has_truth:  # the NIS of the last update
+        ratio, rank = group["nis"].values, group["dof"].values
+        last = np.maximum.accumulate(np.where(rank > 0, np.arange(len(rank)), 0))
+        ratio, rank = ratio[last], rank[last]
+    usual, level = max(1, int(np.median(rank))), source.level
+    low, high = chi_square_band(usual, 1, level)
+    filled = np.where(np.isfinite(truth), truth, estimate)
+    return Replay(
+        name=source.scenario.name, label=entry.label, run=run, model=prepared.plant.model,
+        times=source.times, truth=np.where(known[:, None], filled, np.nan), estimate=estimate,
+        cov=group["cov"].values, nees=ratio / np.maximum(rank, 1),
+        band=(low / usual, high / usual), level=level, correlated=True,
+        what="NEES/n" if source.has_truth else "NIS/m", log=True,
     )  # fmt: skip
 
 

@@ -44,6 +44,7 @@ def add_belief(
     estimate: Array,
     cov: Array | None = None,
     option: mujoco.MjvOption | None = None,
+    ghost: bool = True,
 ) -> range:
     """Append the ghost at an estimate and the ellipsoids of its position covariance to a scene.
 
@@ -54,6 +55,7 @@ def add_belief(
         estimate: x̂ `(nx,)`; nothing is appended if it is not finite.
         cov: P `(n, n)`, in the tangent at the estimate; no ellipsoids if None.
         option: as in `add_ghost`.
+        ghost: whether to append the ghost, or the ellipsoids alone.
 
     Returns:
         Indices of the ghost's geoms in `scene.geoms`.
@@ -61,12 +63,12 @@ def add_belief(
     if not np.isfinite(estimate).all():
         return range(0)
     pose(model, data, estimate)
-    ghost = add_ghost(scene, model, data, option=option)
+    added = add_ghost(scene, model, data, option=option) if ghost else range(0)
     if cov is not None:
         for body in tips(model):
             centre, spread = position_covariance(model, data, body, cov)
             add_ellipsoid(scene, centre, spread, smallest=THINNEST * float(model.stat.extent))
-    return ghost
+    return added
 
 
 def add_ghost(

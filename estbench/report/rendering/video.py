@@ -158,7 +158,9 @@ def frames(run: Replay, steps: NDArray[np.intp], look: Look) -> Iterator[NDArray
     chart = Chart(run, look.width, look.strip)
     with Renderer(run.model, look.width, look.height, look.camera) as renderer:
         for step in steps:
-            picture = renderer.draw(run.truth[step], run.estimate[step], run.cov[step])
+            unknown = run.log and not np.isfinite(run.truth[step]).all()
+            x = None if unknown else run.truth[step]
+            picture = renderer.draw(x, run.estimate[step], run.cov[step])
             yield np.concatenate([picture, chart.draw(int(step))])
 
 
@@ -207,7 +209,7 @@ class Chart:
         self._curve(pen, step + 1, _LINE)
         column = float(self.x(self.run.times[step])) * f
         pen.line([(column, self.top * f), (column, self.bottom * f)], fill=_CURSOR, width=f)
-        text = _moment(self.run.times[step], self.run.nees[step])
+        text = _moment(self.run.times[step], self.run.nees[step], self.run.what)
         pen.text((self.right * f, 1.5 * f), text, fill=_INK, font=self._font, anchor="rt")
         return np.asarray(image.resize(self._size, Image.Resampling.BOX))
 
@@ -236,7 +238,9 @@ class Chart:
         """The longest title that leaves room for the time and NEES of a frame."""
         run = self.run
         short = f"{run.label}, run {run.run}"
-        room = (self.right - self.left) * _FINE - self._font.getlength(_moment(-999.99, 1.23e-10))
+        room = (self.right - self.left) * _FINE - self._font.getlength(
+            _moment(-999.99, 1.23e-10, run.what)
+        )
         titles = (f"{run.name}: {short} (grey: {run.level:.0%})", f"{run.name}: {short}", short)
         return next((t for t in titles if self._font.getlength(t) < room), "")
 
@@ -277,10 +281,10 @@ class Chart:
         )  # fmt: skip
 
 
-def _moment(time: float, nees: float) -> str:
-    """Time in s and NEES/n of a frame as text."""
+def _moment(time: float, nees: float, what: str) -> str:
+    """Time in s and NEES/n, or NIS/m, of a frame as text."""
     return (
-        f"t = {time:.2f} s   NEES/n = {nees:.3g}"
+        f"t = {time:.2f} s   {what} = {nees:.3g}"
         if np.isfinite(nees)
         else f"t = {time:.2f} s   failed"
     )
