@@ -17,7 +17,8 @@ LABELS = {"cartpole_bias": "bias_ekf", "sensor_bias": "bias_ekf"}
 """Scenario -> the estimator that knows of the biases; elsewhere `ekf`."""
 CONTACT = "contact: the transition has kinks, of which a derivative at the mean does not know"
 EXEMPT = {
-    "ant": CONTACT, "half_cheetah": CONTACT, "hopper": CONTACT,
+    "ant": CONTACT, "half_cheetah": CONTACT, "hopper": CONTACT, "biped": CONTACT,
+    "quadruped": CONTACT,
     "outliers": "outliers, which R does not describe: the filter is not matched",
     "wrong_start": "a start that is wrong on purpose: the filter is not matched",
 }  # fmt: skip
