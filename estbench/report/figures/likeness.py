@@ -35,7 +35,8 @@ def _figure(found: Comparison) -> Figure:
     for axes, (label, spectrum) in zip(grid[:, 0], rows):
         _spectrum(axes, spectrum)
         axes.set_title(f"{label}: {spectrum.component}")
-    grid[0, 0].legend(frameon=False)
+    handles, names = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
     grid[-1, 0].set_xlabel("frequency, Hz")
     return figure
 
