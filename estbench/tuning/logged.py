@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estbench.consistency.innovations import BLOCKS, FEWEST
+from estbench.consistency.innovations import parts
 from estbench.errors import EstbenchError, StudyError
 from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import followed
@@ -99,7 +99,7 @@ class Logged:
         start, mapped = prepare.laid_on(self._built, tables)
         arrived = {t for c in mapped.channels if c.name in self._fused for t in c.taken.tolist()}
         name = " + ".join(Path(path).name for path in paths)
-        return OneLog(name, tables, start, block_count(len(arrived)))
+        return OneLog(name, tables, start, len(parts(np.arange(len(arrived)))))
 
     def _variant(self, values: Values) -> Setup:
         return variant(
@@ -125,15 +125,9 @@ class Logged:
         return np.array([part.sum() for part in in_blocks(traces, log.blocks)])
 
 
-def block_count(updates: int) -> int:
-    """Into how many blocks so many updates are divided."""
-    return max(1, min(BLOCKS, updates // FEWEST))
-
-
 def in_blocks(traces: Traces, blocks: int) -> list[Float[Array, " update"]]:
     """Log p(y | earlier readings) of the updates in each block of time."""
-    fused = traces.dof[:, 0] > 0
-    return np.array_split(traces.log_likelihood[fused, 0], blocks)
+    return np.array_split(traces.log_likelihood[traces.dof[:, 0] > 0, 0], blocks)
 
 
 def given(
