@@ -19,9 +19,15 @@ def export(
     run: Annotated[
         list[int] | None, typer.Option(help="number of a run; repeatable; default all")
     ] = None,
+    form: Annotated[
+        str,
+        typer.Option("--format", help="csv, mcap (a rosbag2), or tum: poses of free joints"),
+    ] = "csv",
 ) -> None:
-    """Write simulated runs as CSV logs that replay reads, with the scenario that maps them."""
+    """Write simulated runs as logs that replay reads, with the scenario that maps them."""
     from estbench.logs import export as exporting
 
-    files = exporting.export(scenario, out, run)
-    console().print(f"{len(files)} logs and {exporting.SCENARIO} written to {out}")
+    files = exporting.export(scenario, out, run, form)
+    beside = "" if form == "tum" else f" and {exporting.SCENARIO}"
+    what = "trajectories" if form == "tum" else "logs"
+    console().print(f"{len(files)} {what}{beside} written to {out}")

@@ -8,7 +8,8 @@ from estbench.shapes import Array, Float, Int, Ints
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Length of the units of time stamps, s."""
-NAMES = ("time", "t", "timestamp", "stamp", "time_s", "header.stamp", "0")
+NAMES = ("time", "t", "timestamp", "stamp", "time_s", "header.stamp", "received",
+         "0")  # fmt: skip
 """Headings of a column of time stamps, the first that there is is taken."""
 TICK = 1e-9
 """s."""
@@ -27,7 +28,7 @@ def find(table: LogTable, name: str | None) -> str:
         if usual in known:
             return known[usual]
     raise LogError(
-        f"{table.path} has no column of time stamps by one of the names {', '.join(NAMES)}; name "
+        f"{table.title} has no column of time stamps by one of the names {', '.join(NAMES)}; name "
         f"one of {', '.join(table.columns)} by log.time"
     )
 

@@ -120,7 +120,7 @@ def _held(
             f"'{section.columns[0]}' is missing; give a number, or remove the row"
         )
     if not len(rows):
-        raise LogError(f"{table.path}: {key} has no number in column '{section.columns[0]}'")
+        raise LogError(f"{table.title}: {key} has no number in column '{section.columns[0]}'")
     times = np.full(len(known), np.nan)
     times[rows] = clock.stamps(table, stamped, log.unit, "log.time", rows) + log.delay
     order = rows[np.argsort(times[rows], kind="stable")]

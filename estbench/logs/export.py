@@ -1,4 +1,4 @@
-"""Simulated runs as logs: one CSV file per run, and the scenario that replays them."""
+"""Simulated runs as logs (CSV, rosbags, trajectories), and the scenario that replays them."""
 
 import csv
 from collections.abc import Iterator, Sequence
@@ -10,42 +10,60 @@ from estbench.errors import LogError
 from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import recorded
 from estbench.experiment.setup import build
+from estbench.logs import write_bag
+from estbench.logs.trajectory import Poses, write_tum
+from estbench.logs.truth import bodies, true_states
 from estbench.robots.layout import control_names, state_names
 from estbench.scenario.load import load
 from estbench.scenario.log import (
     LogChannel,
     LogColumns,
     LogSection,
-    TruthColumns,
     TruthSection,
 )
 from estbench.sensors.sampling import divided
 from estbench.shapes import Array
 from estbench.simulation.sources import Trajectory
+from estbench.store import locks
+from estbench.store.metadata import STORE
+from estbench.store.zarr import open_results
 
 SCENARIO = "scenario.toml"
 
 
-def export(source: str | Path, folder: str | Path, runs: Sequence[int] | None = None) -> list[Path]:
-    """Write runs of a scenario, with the numbers that `estbench run` has, as CSV files.
+FORMATS = ("csv", "mcap", "tum")
 
-    Columns: `time` s; the readings of each channel, empty where none arrives, and `CHANNEL.taken`
-    where it is late; the controls, held to the next row; the true state. All numbers have the
-    digits that give them back. `scenario.toml` beside them has the section `[log]`.
+
+def export(
+    source: str | Path,
+    folder: str | Path,
+    runs: Sequence[int] | None = None,
+    form: str = "csv",
+) -> list[Path]:
+    """Write runs of a scenario, with the numbers that `estbench run` has, as logs.
+
+    Columns of CSV: `time` s; the readings of each channel, empty where none arrives, and
+    `CHANNEL.taken` where it is late; the controls, held to the next row; the true state. All
+    numbers have the digits that give them back. `scenario.toml` beside them has the section
+    `[log]`. A bag has these as topics (`write_bag`), with time stamps in whole ns. TUM files have
+    the true poses of free joints, and the estimated ones of a results folder with traces.
 
     Args:
         source: a results folder, or a scenario.
         folder: to be made.
         runs: their numbers; default all.
+        form: one of `FORMATS`.
 
     Returns:
-        The files of the runs.
+        The files, or the folders of bags.
 
     Raises:
-        LogError: the folder exists, or the controller sees the estimate.
+        LogError: the folder exists, the controller sees the estimate, or the runs are a replay.
         EstbenchError: as `experiment.setup.build`.
     """
     target = Path(folder)
+    if form not in FORMATS:
+        raise LogError(f"--format is '{form}'; use one of {', '.join(FORMATS)}")
     if target.exists():
         raise LogError(f"--out {folder} exists; choose another folder")
     scenario = load(source)
@@ -54,6 +72,9 @@ def export(source: str | Path, folder: str | Path, runs: Sequence[int] | None = 
             "control.observe is 'estimate': each estimator has a truth of its own; export a "
             "scenario whose truth is the same for all"
         )
+    if (Path(source) / STORE).is_dir() and "log" in open_results(source).attrs:
+        raise LogError(f"{source} is a replay of a log, which is one already; its TUM files are in "
+                       f"{Path(source) / 'trajectories'}")  # fmt: skip
     prepared = build(scenario)
     every = range(scenario.simulation.runs)
     numbers = list(every if runs is None else runs)
@@ -63,17 +84,63 @@ def export(source: str | Path, folder: str | Path, runs: Sequence[int] | None = 
     found = recorded(prepared, numbers)
     if found is None:
         raise LogError("the runs were stopped")
-    late = _late(prepared)
-    target.mkdir(parents=True)
-    files = []
+    draft = locks.draft(target)
+    with locks.building(draft):
+        write = {"csv": _csv, "mcap": _mcap, "tum": _tum}[form]
+        names = write(prepared, found[0], numbers, draft, Path(source))
+        draft.rename(target)
+    return [target / name for name in names]
+
+
+def _csv(
+    prepared: Setup, truth: Trajectory, numbers: Sequence[int], folder: Path, source: Path
+) -> list[str]:
+    late, names = _late(prepared), []
     for row, run in enumerate(numbers):
-        file = target / f"run_{run}.csv"
-        with file.open("w", newline="", encoding="utf-8") as out:
-            csv.writer(out).writerows(_rows(prepared, found[0], row, late))
-        files.append(file)
-    changed = scenario.model_copy(update={"log": section(prepared, late)})
-    (target / SCENARIO).write_text(changed.to_toml(), encoding="utf-8")
-    return files
+        names.append(f"run_{run}.csv")
+        with (folder / names[-1]).open("w", newline="", encoding="utf-8") as out:
+            csv.writer(out).writerows(_rows(prepared, truth, row, late))
+    _write_scenario(prepared, section(prepared, late), folder)
+    return names
+
+
+def _mcap(
+    prepared: Setup, truth: Trajectory, numbers: Sequence[int], folder: Path, source: Path
+) -> list[str]:
+    names = [f"run_{run}" for run in numbers]
+    for row, name in enumerate(names):
+        write_bag.write(prepared, truth, row, folder / name)
+    _write_scenario(prepared, write_bag.section(prepared), folder)
+    return names
+
+
+def _tum(
+    prepared: Setup, truth: Trajectory, numbers: Sequence[int], folder: Path, source: Path
+) -> list[str]:
+    free = bodies(prepared.space)
+    if not free:
+        raise LogError("the robot has no free joint, so no poses of a base; use --format csv")
+    estimates: dict[str, Array] = {}
+    if (source / STORE).is_dir():
+        tree = open_results(source)
+        for label in prepared.scenario.estimators:
+            if "estimate" in tree[label]:
+                estimates[label] = np.asarray(tree[label]["estimate"])
+    names = []
+    for row, run in enumerate(numbers):
+        of_run = {"truth": truth.x[:, row], **{k: x[run] for k, x in estimates.items()}}
+        for joint, (position, turn, _) in free.items():
+            for label, x in of_run.items():
+                known = np.isfinite(x).all(axis=1)
+                names.append(f"run_{run}.{joint}.{label}.tum")
+                poses = Poses(prepared.times[known], x[known, position], x[known, turn])
+                write_tum(folder / names[-1], poses)
+    return names
+
+
+def _write_scenario(prepared: Setup, log: LogSection, folder: Path) -> None:
+    changed = prepared.scenario.model_copy(update={"log": log})
+    (folder / SCENARIO).write_text(changed.to_toml(), encoding="utf-8")
 
 
 def section(prepared: Setup, late: Sequence[str]) -> LogSection:
@@ -88,18 +155,9 @@ def section(prepared: Setup, late: Sequence[str]) -> LogSection:
     controls = {
         name: LogColumns(columns=[f"u.{name}"]) for name in control_names(prepared.plant.model)
     }
-    numbers = state_names(prepared.space)
-    turns = [q for q, _ in prepared.space.quaternions.tolist()]
-    states = {
-        name.removesuffix(".qw") + ".rotation" if i in turns else name: TruthColumns(
-            columns=[f"x.{n}" for n in numbers[i : i + 4 if i in turns else i + 1]]
-        )
-        for i, name in enumerate(numbers)
-        if not any(q < i < q + 4 for q in turns)
-    }
     return LogSection(
         time="time", instants="all", channels=channels, controls=controls,
-        truth=TruthSection(states=states),
+        truth=TruthSection(states=true_states(prepared.space, "x.")),
     )  # fmt: skip
 
 

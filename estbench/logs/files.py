@@ -1,4 +1,4 @@
-"""The files of a log: text (CSV, TSV, columns between spaces) and npz."""
+"""The files of a log: text (CSV, TSV, columns between spaces), npz, Parquet, rosbags."""
 
 import zipfile
 from collections.abc import Sequence
@@ -7,21 +7,32 @@ from pathlib import Path
 import numpy as np
 
 from estbench.errors import LogError, given_path
-from estbench.logs import text
+from estbench.logs import bags, parquet, text
 from estbench.logs.table import LogTable, from_arrays
 
 
-def read(path: str | Path) -> LogTable:
-    """The table of one file.
+def read(path: str | Path) -> list[LogTable]:
+    """The table of one file; of a bag one for each topic.
 
     Raises:
-        LogError: there is no such file, or it is no table of numbers.
+        LogError: there is no such file, or it has no numbers.
+        MissingExtraError: its format needs the extra `logs`.
     """
     file = given_path("log", path, LogError)
+    if file.exists() and bags.is_bag(file):
+        return bags.read(file)
     if not file.is_file():
-        raise LogError(f"there is no log '{path}'; name a CSV, TSV or npz file")
-    if file.suffix.lower() != ".npz":
-        return text.read(file)
+        raise LogError(f"there is no log '{path}'; name a CSV, TSV, npz or Parquet file, or a bag")
+    match file.suffix.lower():
+        case ".npz":
+            return [_arrays(file)]
+        case ".parquet" | ".pq":
+            return [parquet.read(file)]
+        case _:
+            return [text.read(file)]
+
+
+def _arrays(file: Path) -> LogTable:
     try:
         with np.load(file, allow_pickle=False) as found:
             return from_arrays(file, {name: found[name] for name in found.files})
@@ -37,4 +48,4 @@ def read_all(paths: Sequence[str | Path]) -> list[LogTable]:
     """
     if not paths:
         raise LogError("no log is named; give at least one file")
-    return [read(path) for path in paths]
+    return [table for path in paths for table in read(path)]

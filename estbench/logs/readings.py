@@ -105,7 +105,7 @@ def readings(
     rows = np.flatnonzero(here)
     if not len(rows):
         raise LogError(
-            f"{table.path} has no reading of channel '{name}' in column "
+            f"{table.title} has no reading of channel '{name}' in column "
             f"{', '.join(section.columns)}; leave it out of log.channels"
         )
     stamped = clock.find(table, section.time or log.time)

@@ -91,7 +91,7 @@ def mapped(
     ticks, first = np.unique(clock.ticks(times), return_index=True)
     ends = times[first]
     if ticks[-1] <= 0:
-        raise LogError(f"{chosen[0].table.path}: all readings have one time stamp; a log has more")
+        raise LogError(f"{chosen[0].table.title}: all readings have one time stamp; a log has more")
     before = np.concatenate([[0.0], ends])
     u = controls.over(signals, rest, before + begin)
     instants = tuple(
@@ -122,7 +122,7 @@ def _between(part: ChannelReadings, begin: float, end: float) -> ChannelReadings
     here = (part.taken >= begin) & (part.arrived <= end)
     if not here.any():
         raise LogError(
-            f"{part.table.path}: channel '{part.name}' has no reading from t = {begin:.9g} to "
+            f"{part.table.title}: channel '{part.name}' has no reading from t = {begin:.9g} to "
             f"{end:.9g} s; change log.skip or log.duration"
         )
     return ChannelReadings(

@@ -21,7 +21,9 @@ class LogTable:
     Attributes:
         path: of the file.
         columns: name -> numbers; NaN where a cell is empty.
-        rows: number of each row in the file, from 1, as an editor shows it.
+        rows: number of each row in the file, from 1, as an editor shows it; of each message in its
+            topic.
+        topic: of a bag.
         texts: name -> row and cell of the first entry that is no number, of columns that have one.
     """
 
@@ -29,6 +31,12 @@ class LogTable:
     columns: Mapping[str, Float[Array, " row"]]
     rows: Int[Ints, " row"]
     texts: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+    topic: str = ""
+
+    @property
+    def title(self) -> str:
+        """The file, and the topic of a bag, for a message."""
+        return f"{self.path} {self.topic}".strip()
 
     def column(self, name: str, key: str) -> Float[Array, " row"]:
         """The numbers of a column.
@@ -43,12 +51,12 @@ class LogTable:
         if name in self.texts:
             row, cell = self.texts[name]
             raise LogError(
-                f"{self.path}, row {row}: column '{name}' has {shown_cell(cell)}; {key} needs "
+                f"{self.title}, row {row}: column '{name}' has {shown_cell(cell)}; {key} needs "
                 "numbers"
             )
         if name not in self.columns:
             raise LogError(
-                f"{self.path} has no column '{name}', which {key} names"
+                f"{self.title} has no column '{name}', which {key} names"
                 f"{did_you_mean(name, self.columns)}"
             )
         return self.columns[name]
@@ -56,7 +64,7 @@ class LogTable:
     def at(self, index: int, time: float | None = None) -> str:
         """The place of an entry for a message: file, row, and the time stamp in s."""
         when = "" if time is None else f", t = {time:.9g} s"
-        return f"{self.path}, row {int(self.rows[index])}{when}"
+        return f"{self.title}, row {int(self.rows[index])}{when}"
 
 
 def shown_cell(cell: str) -> str:

@@ -124,7 +124,7 @@ def _part(
     values = scaled(table, entry, key)
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     if len(rows) < 2:
-        raise LogError(f"{table.path}: {key} has {len(rows)} rows with numbers; it needs two")
+        raise LogError(f"{table.title}: {key} has {len(rows)} rows with numbers; it needs two")
     stamped = clock.find(table, entry.time or section.time or log.time)
     times = clock.stamps(table, stamped, log.unit, f"{key}.time", rows) + section.offset - start
     order = np.argsort(times, kind="stable")
@@ -243,3 +243,16 @@ def moved(truth: Truth, space: Manifold, rigid: Rigid | None) -> Truth:
         x[:, turn] = rigid.rotations(x[:, turn])
         x[:, velocity] = rigid.vectors(x[:, velocity])
     return Truth(x, truth.known, truth.noise)
+
+
+def true_states(space: Manifold, prefix: str) -> dict[str, TruthColumns]:
+    """Where the true state is, in columns that are called by a prefix and the number's name."""
+    numbers = state_names(space)
+    turns = [q for q, _ in space.quaternions.tolist()]
+    return {
+        name.removesuffix(".qw") + ".rotation" if i in turns else name: TruthColumns(
+            columns=[f"{prefix}{n}" for n in numbers[i : i + 4 if i in turns else i + 1]]
+        )
+        for i, name in enumerate(numbers)
+        if not any(q < i < q + 4 for q in turns)
+    }

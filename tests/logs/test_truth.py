@@ -98,7 +98,7 @@ def test_a_fitted_frame_is_the_true_one():
 def test_the_truth_of_another_frame_gives_the_same_errors(flown, tmp_path):
     """The truth is turned and shifted; its inverse is given, or fitted to the estimates."""
     file, scenario = flown
-    table = files.read(file)
+    (table,) = files.read(file)
     columns = dict(table.columns)
     place = np.column_stack([columns[f"x.root.{a}"] for a in AXES])
     turn = np.column_stack([columns[f"x.root.q{a}"] for a in "wxyz"])
