@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from estbench.budgets.sources import sources
+from estbench.budgets.switches import without
 from estbench.errors import ScenarioError
 from estbench.experiment.prepared import Setup
 from estbench.experiment.setup import build
@@ -86,7 +88,7 @@ def observability(
     seed: int | None = None,
     overrides: Sequence[str] = (),
 ) -> Observability:
-    """What the sensors see of the state, along the motion of one true run.
+    """What the sensors see of the state, along the motion of one true run without process noise.
 
     >>> import estbench
     >>> found = estbench.observability("pendulum", window=0.5, motions=False)
@@ -117,7 +119,7 @@ def of_setup(setup: Setup, run: int = 0, motions: bool = True) -> Observability:
     Raises:
         ScenarioError: as `observability`.
     """
-    motion = of_run(setup, run)
+    motion = of_run(_undisturbed(setup), run)
     if not motion.std.any():
         raise ScenarioError("initial.std is 0 for every coordinate: there is nothing to observe")
     found = of_motion(setup.scenario.name, motion)
@@ -127,6 +129,16 @@ def of_setup(setup: Setup, run: int = 0, motions: bool = True) -> Observability:
     *_, last = gathered(trials)
     shown = [_shown(d, names, kept(last, d.vector)) for d in found.directions]
     return Observability(**{**vars(found), "directions": tuple(shown)})
+
+
+def _undisturbed(setup: Setup) -> Setup:
+    """The experiment without process noise.
+
+    Kept as a known input, the noise of a run would be a force whose direction in the world is
+    known: the sensors of a robot, which feel it in the robot's axes, would see the heading.
+    """
+    label = next(iter(setup.scenario.estimators))
+    return without(setup, label, [s for s in sources(setup, label) if s.kind == "process"])
 
 
 def of_motion(name: str, motion: Motion) -> Observability:

@@ -118,6 +118,15 @@ def test_imu_and_position_leave_the_heading_at_rest():
     assert "bias.gyro.x" in nowhere.names
 
 
+def test_a_quadruped_does_not_see_its_heading():
+    """The noise of a run is no known force, whose direction in the world would show the heading."""
+    shaken = 'process_noise.density={"root.v?"=1.0}'
+    found = estbench.observability("quadruped", window=0.02, overrides=[shaken], motions=False)
+    left_of = dict(zip(found.names, found.left))
+    assert min(left_of["root.x"], left_of["root.y"], left_of["root.rz"]) > 0.99
+    assert max(left_of["root.z"], left_of["root.rx"]) < 0.5
+
+
 def test_a_motion_that_shows_what_is_hidden():
     """The acrobot without the encoder of the elbow: a bent elbow moves the shoulder more."""
     overrides = ['sensors=["shoulder_encoder"]']

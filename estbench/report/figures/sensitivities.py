@@ -81,8 +81,9 @@ def _curves(pair: tuple[Axes, Axes], found: Sensitivity) -> None:
                 color=palette.colour(k), ls=palette.LINES[k % len(palette.LINES)], lw=0.9, ms=3,
             )  # fmt: skip
         axes.set_xscale("log")
-        axes.set_yscale("log")
-        for axis in (axes.xaxis, axes.yaxis):
+        if name == "nees":
+            axes.set_yscale("log")
+        for axis in (axes.xaxis, axes.yaxis)[: 2 if name == "nees" else 1]:
             axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.set_major_formatter(ScalarFormatter())
             axis.set_minor_locator(NullLocator())
