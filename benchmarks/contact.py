@@ -38,6 +38,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "only_omega0": {"type": "rotated_ukf", "omega": 0.0},
     "only_omega0.5": {"type": "rotated_ukf", "omega": 0.5},
     "only_K4": {"type": "rotated_ukf", "rotations": 4},
+    "K3_omega0.2": {"type": "rotated_ukf", "rotations": 3, "omega": 0.2},
+    "iplf": {"base": "rotated_ukf"},
     "urts": {},
     "ipls": {"base": "rotated_ukf", "iterations": 3},
 }
