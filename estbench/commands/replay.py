@@ -18,7 +18,8 @@ def register(app: typer.Typer) -> None:
 
 def replay(
     scenario: Annotated[
-        str, typer.Argument(help="as of run, with a section [log]; with --inspect a log")
+        str,
+        typer.Argument(help="as of run, with a section [log]; with --inspect a log, or a scenario"),
     ],
     logs: Annotated[
         list[Path] | None,
@@ -32,21 +33,29 @@ def replay(
     overrides: Overrides = None,
     out: Out = None,
     inspect: Annotated[
-        bool, typer.Option("--inspect", help="show columns, rates and gaps of logs instead")
+        bool,
+        typer.Option(
+            "--inspect",
+            help="show columns, rates and gaps of logs instead; after a scenario, with a first "
+            "[log] for it",
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Run estimators on a recorded log, and say what its readings and its truth think of them."""
+    from estbench.scenario.load import resolve
+
     if inspect:
         from estbench.logs import inspect as inspection
 
-        console().print(inspection.render([scenario, *(logs or ())]))
+        given = resolve(scenario) if logs and not inspection.is_log(Path(scenario)) else None
+        files = logs if given and logs else [Path(scenario), *(logs or ())]
+        console().print(inspection.render(files, given))
         return
     if not logs:
         raise LogError("no log is named; give the files of one after the scenario")
     from estbench.logs import replay as replaying
     from estbench.logs import results
-    from estbench.scenario.load import resolve
     from estbench.store import zarr as store
 
     resolved = resolve(scenario, estimator, overrides=overrides or ())

@@ -9,8 +9,9 @@ from rich.console import Group
 from rich.text import Text
 
 from estbench.errors import LogError
-from estbench.logs import clock, files
+from estbench.logs import bags, clock, files, matching
 from estbench.logs.table import LogTable
+from estbench.scenario.schema import Scenario
 from estbench.tables.columns import tabulate
 from estbench.tables.names import visible
 
@@ -68,8 +69,12 @@ def stamps(table: LogTable) -> Stamps | None:
     )  # fmt: skip
 
 
-def render(paths: Sequence[str | Path]) -> Group:
+def render(paths: Sequence[str | Path], scenario: Scenario | None = None) -> Group:
     """The columns of each file and a first `[log]`, for a rich console.
+
+    Args:
+        paths: the files.
+        scenario: whose channels and actuators `[log]` has, by the columns that fit them.
 
     Raises:
         LogError: a file cannot be read.
@@ -80,14 +85,23 @@ def render(paths: Sequence[str | Path]) -> Group:
         seen = stamps(table)
         rows = [_row(name, table.columns[name]) for name in table.columns]
         rows += [[n, "text", *["-"] * 5] for n in table.texts]
-        title = f"{table.path.name}: {len(table.rows)} rows"
+        title = f"{table.path.name} {table.topic}".strip() + f": {len(table.rows)} rows"
         headings = ("<column", "<type", "least", "greatest", "changes by", "values", "missing")
         found = tabulate(title, headings, rows)
         parts += [Text(visible(title), style="bold"), found, Text(visible(_clock(seen)))]
-    first = "a first section, under the names of the columns; give them those of the robot:\n\n"
-    text = visible(first + section(tables), lines=True)
+    first = (
+        "a first section, under the names of the columns; give them those of the robot:\n\n"
+        if scenario is None
+        else f"a first section for {scenario.name}, by names, units and ranges; check it:\n\n"
+    )
+    text = visible(first + section(tables, scenario), lines=True)
     parts.append(Text(text, no_wrap=True, overflow="ignore"))
     return Group(*parts)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is that of a log, and of no scenario or MJCF."""
+    return bags.is_bag(path) or (path.is_file() and path.suffix.lower() not in (".toml", ".xml"))
 
 
 def _row(name: str, values: np.ndarray) -> list[str]:
@@ -114,19 +128,21 @@ def _clock(seen: Stamps | None) -> str:
     )
 
 
-def section(tables: Sequence[LogTable]) -> str:
+def section(tables: Sequence[LogTable], scenario: Scenario | None = None) -> str:
     """A first `[log]` in TOML: what the headings say, to be corrected by hand."""
     seen = next((s for s in map(stamps, tables) if s is not None), None)
     lines = ["[log]"]
     if seen is not None:
         lines += [f'time = "{seen.column}"', f'unit = "{seen.unit}"']
+    if scenario is not None:
+        return "\n".join(lines) + "\n" + matching.section(tables, scenario)
     for table in tables:
         for name in table.columns:
             word = _word(name)
             if word is None or (seen is not None and name == seen.column):
                 continue
             kind = "controls" if word == "torque" else "channels"
-            lines += ["", f"[log.{kind}.{_key(name)}]"]
+            lines += ["", f"[log.{kind}.{matching.key(name)}]"]
             lines += [f'columns = ["{name}"]']
             if _degrees(name, table.columns[name], word):
                 lines += ['unit = "deg"' if word == "encoder" else 'unit = "deg/s"']
@@ -140,10 +156,6 @@ def _word(name: str) -> str | None:
         if any(part in known for part in parts) or any(k in name.lower() for k in known[1:2]):
             return word
     return None
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").isalnum() and name.isascii() else f'"{name}"'
 
 
 def _degrees(name: str, values: np.ndarray, word: str) -> bool:
