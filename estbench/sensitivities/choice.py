@@ -71,7 +71,10 @@ def _other(
     Raises:
         StudyError: there is none, or it is not positive and has no range.
     """
-    unknown = f"--key '{key}' matches no parameter{did_you_mean(key, [p.key for p in found])}"
+    known = [p.key for p in found]
+    part = any(key in name for name in known)
+    hint = f"; use a pattern, '*{key}*'" if part else did_you_mean(key, known)
+    unknown = f"--key '{key}' matches no parameter{hint}"
     try:
         names = keys.parse(key)
     except StudyError:

@@ -84,6 +84,24 @@ class _Side:
             self.outer, self.verdict, self.reason = factor, verdict, reason
 
 
+def check(own: Outcome) -> None:
+    """Whether there is a range at all.
+
+    Args:
+        own: of the scenario as it is.
+
+    Raises:
+        StudyError: the verdict is not consistent.
+    """
+    verdict, _ = _word(own)
+    if verdict != Verdict.CONSISTENT:
+        hint = "raise --runs" if verdict == Verdict.UNDECIDED else "see `estbench explain`"
+        raise StudyError(
+            f"the verdict is {verdict} as the scenario is, so that there is no range in which it "
+            f"stays consistent; {hint}"
+        )
+
+
 def ranges(
     parameters: Sequence[Parameter], evaluate: Evaluate, others: Evaluate
 ) -> tuple[tuple[End, End], ...]:
@@ -96,18 +114,7 @@ def ranges(
         parameters: searched for at the same time.
         evaluate: computes points on the runs of the search.
         others: computes points on other runs.
-
-    Raises:
-        StudyError: the verdict is not consistent with the value as it is.
     """
-    (own,) = evaluate([{}])
-    verdict, _ = _word(own)
-    if verdict != Verdict.CONSISTENT:
-        hint = "raise --runs" if verdict == Verdict.UNDECIDED else "see `estbench explain`"
-        raise StudyError(
-            f"the verdict is {verdict} as the scenario is, so that there is no range in which it "
-            f"stays consistent; {hint}"
-        )
     sides = [_Side(p, up) for p in parameters for up in (False, True)]
     active = sides
     while active:

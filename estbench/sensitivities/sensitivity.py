@@ -19,6 +19,7 @@ from estbench.sensitivities.discovery import parameters
 from estbench.sensitivities.elasticity import of_records, size
 from estbench.sensitivities.parameter import Changes, Parameter
 from estbench.sensitivities.points import Outcome, computed
+from estbench.sensitivities.ranges import check
 from estbench.sensitivities.ranges import ranges as searched
 from estbench.sensitivities.result import Curve, Sensitivity, Slope
 
@@ -131,6 +132,8 @@ def of_scenario(
     count = _Count(progress, points * scenario.simulation.runs)
     evaluate = _Evaluate(setup.scenario, size, workers, count)
     level, notices = scenario.consistency.level, list(setup.notices)
+    if ranges:
+        check(*evaluate([{}]))
     slopes = _slopes(asked, evaluate, step, level, notices)
     matter = [s.parameter for s in slopes]
     ended = [p for p in matter if p in searched_for]

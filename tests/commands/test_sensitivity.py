@@ -47,6 +47,7 @@ def test_what_it_prints_and_draws(tmp_path, monkeypatch, capsys):
     ("words", "message"),
     [
         (("--key", "channels.gyr.noise"), "matches no parameter (did you mean 'channels.gyro"),
+        (("--key", "damping"), "matches no parameter; use a pattern, '*damping*'"),
         (("--key", "simulation.duration"), "is not of the filter or the hardware"),
         (("--key", "start.offset"), "is 0, which has no relative change; give a range"),
         (("--key", "channels.gyro.noise=1,2"), "use channels.gyro.noise=lin:LOW:HIGH"),

@@ -19,7 +19,7 @@ from estbench.sensitivities.discovery import parameters
 from estbench.sensitivities.elasticity import elasticity
 from estbench.sensitivities.parameter import Parameter
 from estbench.sensitivities.points import computed
-from estbench.sensitivities.ranges import ranges
+from estbench.sensitivities.ranges import check, ranges
 from estbench.sensitivities.sensitivity import of_scenario
 
 H, M, D, Q, R = 0.01, 1.0, 4.0, 0.5, 0.1
@@ -195,7 +195,7 @@ def test_ranges_are_found_and_moved_to_where_other_runs_confirm_them():
     assert 1.0 < high.factor <= 2.0 < high.beyond
     assert high.confirmed
     with pytest.raises(StudyError, match="the verdict is biased as the scenario is"):
-        ranges([x], within(2.0, 3.0), within(0.0, 3.0))
+        check(*within(2.0, 3.0)([{}]))
 
 
 def test_the_range_of_a_pendulum():
