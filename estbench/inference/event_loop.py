@@ -100,8 +100,9 @@ def run_filter(
             u = source.control(k, recorder.mean[k])
             x, arrived = source.advance(k, u)
             clock.start()
-            fusion.step(event, u, arrived)
+            settled = fusion.step(event, u, arrived)
             clock.stop()
+            innovations.settle(settled)
             recorder.add(k + 1, x, fusion.belief, fusion.fault)
         if history is not None:
             clock.start()

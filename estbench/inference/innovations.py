@@ -122,6 +122,10 @@ class Innovations:
         if self._kept and np.size(getattr(innovation, "residual", ())):
             self._keep(k, channels, innovation, mask, rows)
 
+    def settle(self, first: int) -> None:
+        """The instants before `first` are updated no more."""
+        self._lags.settle(first)
+
     def _keep(
         self,
         k: int,

@@ -7,13 +7,14 @@ import numpy as np
 from estbench.inference.run_subset import ALL, RunIndex
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
-Arrivals = tuple[Int[Ints, " arrival"], Float[Array, "arrival run m"], Bool[Mask, "arrival run m"]]
-"""The instants at which a channel arrived in any run, ν̃, and in which runs it arrived."""
 Noted = tuple[Sequence[str], Float[Array, "run m"], Bool[Mask, "run m"] | None]
 """Channels, ν̃ and mask of one update."""
 
 LAGS = 10
 """How many lags, in arrivals."""
+BLOCK = 64
+"""Instants whose products are added up together. Which they are depends on nothing else, so that a
+run's sums are the same, to the last bit, whatever shares its batch."""
 
 
 def correlation(
@@ -38,7 +39,7 @@ class Lags:
     """Sums of ν̃ₖ ν̃ₖ₋ₗ, l = 0 ... LAGS, over the arrivals of each component.
 
     ν̃ = L⁻¹ν with S = L Lᵀ. A component's past is what arrived of it in that run: neither other
-    channels nor the other runs of a batch matter.
+    channels nor the other runs of a batch matter. Innovations are kept until they are settled.
 
     Args:
         runs: how many.
@@ -48,7 +49,12 @@ class Lags:
     def __init__(self, runs: int, widths: Mapping[str, int]):
         self._runs, self._widths = runs, dict(widths)
         self._noted: dict[tuple[int, int], Noted] = {}
-        self._found: dict[str, Arrivals] = {}  # of a channel, until more is noted
+        self._settled = 0  # the first instant that is not added up
+        self._sums = np.zeros((runs, LAGS + 1))
+        # Of each channel: its last LAGS arrivals, how many there were, and NIS/m at instants.
+        self._tails = {name: np.zeros((runs, m, LAGS)) for name, m in widths.items()}
+        self._counts = {name: np.zeros((runs, m), np.int64) for name, m in widths.items()}
+        self._means: dict[str, list[tuple[Ints, Array]]] = {name: [] for name in widths}
 
     def put(
         self,
@@ -73,7 +79,11 @@ class Lags:
             before = self._noted.get((instant, layer))
             white, mask = self._among_others(before, channels, white, mask, rows)
         self._noted[instant, layer] = (channels, white, mask)
-        self._found.clear()
+
+    def settle(self, first: int) -> None:
+        """Nothing more is noted of the instants before `first`: add their products up."""
+        while first >= self._settled + BLOCK:
+            self._add_up(self._settled + BLOCK)
 
     def _among_others(
         self,
@@ -101,44 +111,68 @@ class Lags:
         return slice(start, start + self._widths[name])
 
     def sums(self) -> tuple[Float[Array, "run lag"], Int[Ints, "run lag"]]:
-        """The sums of lags 0 to LAGS, and how many products of two numbers are in each."""
-        sums = np.zeros((self._runs, LAGS + 1))
+        """The sums of lags 0 to LAGS, and how many products of two numbers are in each.
+
+        Nothing may be noted after it.
+        """
+        self._finish()
         terms = np.zeros((self._runs, LAGS + 1), np.int64)
-        for name in self._widths:
-            white, count = self._in_order(*self._arrivals(name)[1:])
-            for lag in range(min(LAGS + 1, white.shape[-1])):
-                ahead, behind = white[..., lag:], white[..., : white.shape[-1] - lag]
-                sums[:, lag] += (ahead * behind).sum(axis=(-2, -1))
-                terms[:, lag] += np.maximum(count - lag, 0).sum(axis=-1)
-        return sums, terms
+        for count in self._counts.values():
+            terms += np.maximum(count[..., None] - np.arange(LAGS + 1), 0).sum(axis=1)
+        return self._sums, terms
 
     def nis(self, count: int) -> Float[Array, "step run channel"]:
         """NIS/m of each channel at each instant, NaN where nothing of it arrived.
 
         Of channels fused together it is the sum of ν̃² over the channel's components, divided by
         their number: NIS of the channel given those before it in the measurement, so that the sums
-        of all channels add up to NIS.
+        of all channels add up to NIS. Nothing may be noted after it.
 
         Args:
             count: of instants.
         """
+        self._finish()
         out = np.full((count, self._runs, len(self._widths)), np.nan)
-        for i, name in enumerate(self._widths):
-            instants, white, came = self._arrivals(name)
-            if not len(instants):
-                continue
-            first = np.flatnonzero(np.diff(instants, prepend=-1))  # of each instant's updates
-            squares = np.where(came, white**2, 0.0).sum(axis=-1)
-            square, number = (np.add.reduceat(a, first) for a in (squares, came.sum(axis=-1)))
-            mean = np.full(square.shape, np.nan)
-            out[instants[first], :, i] = np.divide(square, number, out=mean, where=number > 0)
+        for i, found in enumerate(self._means.values()):
+            for instants, mean in found:
+                out[instants, :, i] = mean
         return out
 
-    def _arrivals(self, name: str) -> Arrivals:
-        """Those of a channel."""
-        if name in self._found:
-            return self._found[name]
-        keys = [key for key in sorted(self._noted) if name in self._noted[key][0]]
+    def _finish(self) -> None:
+        while self._noted:
+            self._add_up(self._settled + BLOCK)
+
+    def _add_up(self, end: int) -> None:
+        """Add the products of the innovations from the settled instants to `end`, and forget them.
+
+        The last LAGS arrivals of each component go before those of the block.
+        """
+        keys = sorted(key for key in self._noted if key[0] < end)
+        for name in self._widths:
+            own = [key for key in keys if name in self._noted[key][0]]
+            if not own:
+                continue
+            arrived, came = self._arrivals(name, own)
+            instants = np.array([instant for instant, _ in own])
+            self._means[name].append(_means(instants, arrived, came))
+            white, count = self._in_order(arrived, came)
+            width = -(-len(own) // BLOCK) * BLOCK  # the order of a sum depends on its length
+            series = np.zeros((*count.shape, LAGS + width))
+            series[..., :LAGS], series[..., LAGS : LAGS + len(own)] = self._tails[name], white
+            for lag in range(LAGS + 1):
+                behind = series[..., LAGS - lag : LAGS - lag + width]
+                self._sums[:, lag] += (series[..., LAGS:] * behind).sum(axis=(-2, -1))
+            last = count[..., None] + np.arange(LAGS)
+            self._tails[name] = np.take_along_axis(series, last, axis=-1)
+            self._counts[name] += count
+        for key in keys:
+            del self._noted[key]
+        self._settled = end
+
+    def _arrivals(
+        self, name: str, keys: Sequence[tuple[int, int]]
+    ) -> tuple[Float[Array, "arrival run m"], Bool[Mask, "arrival run m"]]:
+        """ν̃ of a channel at some updates, and in which runs it arrived."""
         white = np.empty((len(keys), self._runs, self._widths[name]))
         came = np.ones(white.shape, bool)
         for i, key in enumerate(keys):
@@ -147,19 +181,30 @@ class Lags:
             white[i] = values[:, columns]
             if mask is not None:
                 came[i] = mask[:, columns]
-        found = np.array([instant for instant, _ in keys], np.int64), white, came
-        self._found[name] = found
-        return found
+        return white, came
 
     @staticmethod
     def _in_order(
         white: Float[Array, "arrival run m"], came: Bool[Mask, "arrival run m"]
     ) -> tuple[Float[Array, "run m arrival"], Int[Ints, "run m"]]:
         """A channel's arrivals in order, zeros after the last, and how many."""
-        # Time last: a run's sums are then the same, to the last bit, whatever shares its batch.
+        # Time last, so that a run's sum does not depend on the other runs.
         white = np.ascontiguousarray(np.moveaxis(white, 0, -1))
         came = np.moveaxis(came, 0, -1)
         if not came.all():
             order = np.argsort(~came, axis=-1, kind="stable")
             white = np.take_along_axis(np.where(came, white, 0.0), order, axis=-1)
         return white, came.sum(axis=-1)
+
+
+def _means(
+    instants: Int[Ints, " arrival"],
+    white: Float[Array, "arrival run m"],
+    came: Bool[Mask, "arrival run m"],
+) -> tuple[Int[Ints, " instant"], Float[Array, "instant run"]]:
+    """The mean of ν̃² over the components that arrived at each instant; NaN where none did."""
+    first = np.flatnonzero(np.diff(instants, prepend=-1))  # of each instant's updates
+    squares = np.where(came, white**2, 0.0).sum(axis=-1)
+    square, number = (np.add.reduceat(a, first) for a in (squares, came.sum(axis=-1)))
+    mean = np.full(square.shape, np.nan)
+    return instants[first], np.divide(square, number, out=mean, where=number > 0)
