@@ -1,6 +1,7 @@
 """The protocols of estimators and smoothers, and the values that they take and return."""
 
-from collections.abc import Collection, Sequence
+from bisect import bisect_right
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -160,10 +161,49 @@ class FilterHistory:
     times: list[float]
     measurements: list[list[Measurement]]
 
+    def part(self, where: slice) -> "FilterHistory":
+        """The history of a window.
+
+        Args:
+            where: from its first time to the one after its last.
+        """
+        held = slice(where.start, where.stop - 1)
+        return FilterHistory(
+            self.beliefs[where], self.controls[held], self.times[where], self.measurements[where]
+        )
+
+    def forget(self, where: slice) -> None:
+        """Drop what is known of some times."""
+        for values in (self.beliefs, self.controls, self.measurements):
+            values[where] = [None] * len(values[where])  # type: ignore[list-item]
+
+
+def windows(times: Sequence[float], length: float | None) -> Iterator[slice]:
+    """Windows that share their ends, each at least one step long.
+
+    Args:
+        times: K + 1, in s.
+        length: of a window, s; None for one of all times.
+
+    Yields:
+        From the first time of a window to the one after its last.
+    """
+    first, last = 0, len(times) - 1
+    while first < last:
+        end = last
+        if length is not None:
+            end = max(bisect_right(times, times[first] + length + 1e-9) - 1, first + 1)
+        yield slice(first, end + 1)
+        first = end
+
 
 @runtime_checkable
 class Smoother(Estimator, Protocol):
-    """An estimator that also looks back; its smoothed beliefs are the ones that are judged."""
+    """An estimator that also looks back; its smoothed beliefs are the ones that are judged.
+
+    One with an attribute `window`, in s and not None, is asked for each of these `windows` as soon
+    as it is complete, so that no more than one is kept; any other for the whole run at its end.
+    """
 
     def smooth(self, history: FilterHistory) -> Sequence[Any]:
         """K + 1 beliefs, each given all measurements (or those of a window)."""

@@ -6,16 +6,14 @@ or stepped along because the controller sees the estimate (`simulation.sources`)
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
-import numpy as np
-
-from estbench.errors import DimensionError
 from estbench.estimators.beliefs import start
-from estbench.estimators.protocol import Estimator, FilterHistory, Smoother
+from estbench.estimators.protocol import Estimator, Smoother
 from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
 from estbench.inference.innovations import Innovations
+from estbench.inference.looking_back import LookingBack
 from estbench.inference.traces import Recorder, Traces
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
@@ -87,9 +85,11 @@ def run_filter(
     belief, events = start(estimator, mean0, cov0, keys), source.events
     recorder = Recorder(estimator, space, len(events), len(mean0), keep_cov)
     innovations = Innovations(channels, len(events), len(mean0), keep_innovations)
-    history = None
+    back = history = None
     if hasattr(estimator, "smooth"):
-        history = _history(belief, [event.instant.end for event in events])
+        ends = [event.instant.end for event in events]
+        back = LookingBack(cast(Smoother, estimator), belief, ends, recorder)
+        history = back.history
     fusion = Fusion(estimator, belief, Inbox(channels), delays or Delays(), innovations, history)
     clock.stop()
     with quiet():
@@ -104,17 +104,10 @@ def run_filter(
             clock.stop()
             innovations.settle(settled)
             recorder.add(k + 1, x, fusion.belief, fusion.fault)
-        if history is not None:
-            clock.start()
-            smoothed = cast(Smoother, estimator).smooth(history)
-            clock.stop()
-            if len(smoothed) != len(recorder.truth):
-                raise DimensionError(
-                    f"{type(estimator).__name__}: smooth returned {len(smoothed)} beliefs; "
-                    f"expected {len(recorder.truth)}, one per time and one for the start"
-                )
-            for k, belief in enumerate(smoothed):
-                recorder.add(k, recorder.truth[k] if recorder.judged else None, belief)
+            if back is not None:
+                clock.start()
+                back.settle(settled if k + 1 < len(events) else k + 2)
+                clock.stop()
     return recorder.traces(innovations.traces() | {"late": fusion.late, "cpu_time": clock.cpu_time})
 
 
@@ -142,11 +135,3 @@ class Stopwatch:
         """Seconds of CPU time so far."""
         wall = time.perf_counter() - self._began
         return (time.thread_time() - self._cpu) * min(self._running / wall, 1.0) if wall else 0.0
-
-
-def _history(start: Any, ends: list[float]) -> FilterHistory:
-    """One to be filled in."""
-    count = len(ends)
-    return FilterHistory(
-        [start] * (count + 1), [np.empty(0)] * count, [0.0, *ends], [[]] * (count + 1)
-    )

@@ -18,6 +18,11 @@ WORKING_BYTES = 2**30
 """Memory that the computation of one instant of a batch may take."""
 TRACES_BYTES = 2**30
 """Traces of a whole experiment above which they are stored only when asked for."""
+INSTANT_BYTES = 800
+"""Memory of an instant of a batch, whatever its runs: its times, controls and deliveries."""
+COPIES = 4
+"""Size of all that exists at once of a batch, its truth and the reduction of its traces included,
+over that of the traces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,36 @@ def run_bytes(prepared: setup.Setup, keep: str) -> int:
     if keep == "full":
         a_step += space.n**2 + m + m**2
     return 8 * a_step * len(prepared.times) * max(1, len(prepared.scenario.estimators))
+
+
+def held_bytes(prepared: setup.Setup, keep: str, size: int) -> int:
+    """Memory of a batch while it is computed, measured to some 30% (docs/performance.md).
+
+    Args:
+        prepared: the experiment.
+        keep: what is stored of each run; with `summary` one estimator has its traces at a time.
+        size: runs of the batch.
+    """
+    together = max(1, len(prepared.scenario.estimators)) if keep == "summary" else 1
+    a_run = COPIES * run_bytes(prepared, keep) // together
+    a_run += working_bytes(prepared) + history_bytes(prepared)
+    return size * a_run + INSTANT_BYTES * len(prepared.times)
+
+
+def history_bytes(prepared: setup.Setup) -> int:
+    """Memory of what a smoother looks back on in one run, the largest of those of all estimators.
+
+    The filtered and the smoothed mean and covariance, and the measurement, at each time of the run
+    or of a window.
+    """
+    space, m = prepared.space, len(readings(prepared.channel_spaces))
+    shares = [0.0]
+    for label in prepared.scenario.estimators:
+        estimator = prepared.estimator(label)
+        if hasattr(estimator, "smooth"):
+            window = getattr(estimator, "window", None) or np.inf
+            shares.append(min(1.0, window / prepared.times[-1]))
+    return int(8 * (2 * (space.nx + space.n**2) + m) * len(prepared.times) * max(shares))
 
 
 def working_bytes(prepared: setup.Setup) -> int:

@@ -67,13 +67,13 @@ def fitting(kind: str, batch: int, cpus: int | None = None, memory: int | None =
 
     Args:
         kind: `threads` or `processes`.
-        batch: bytes of one batch's traces; its computation takes some three times that.
+        batch: bytes of one batch while it is computed, from `batch.held_bytes`.
         cpus: default those this process may use.
         memory: bytes; default the free memory of the machine or of this process's control group.
     """
     cpus = cpu_count() if cpus is None else cpus
     memory = free_memory() if memory is None else memory
-    a_worker = 3 * batch + (PROCESS_BYTES if kind == "processes" else 0)
+    a_worker = batch + (PROCESS_BYTES if kind == "processes" else 0)
     return cpus if memory is None else max(1, min(cpus, memory // 2 // max(1, a_worker)))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from estbench.bounds import scenario as bounds
 from estbench.errors import EstbenchError
 from estbench.experiment.prepared import Setup
+from estbench.experiment.size import free_memory
 from estbench.montecarlo import batch, executors
 
 LONG = 60.0
@@ -31,22 +32,31 @@ class Forecast:
         seconds: of all batches.
         step: seconds of one step of one run, over all estimators.
         memory: bytes that the workers take together.
+        free: bytes that are free; None where it is not known.
     """
 
     seconds: float
     step: float
     memory: int
+    free: int | None = None
 
     @property
     def line(self) -> str:
         """One line if it takes long or much memory, else empty."""
-        if self.seconds < LONG and self.memory < LARGE:
+        fits = self.free is None or self.memory <= self.free
+        if self.seconds < LONG and self.memory < LARGE and fits:
             return ""
-        return (
-            f"this will take about {_duration(self.seconds)} ({1e3 * self.step:.2g} ms per run and "
-            f"step) and {self.memory / 2**30:.2g} GiB; fewer runs, a shorter duration or fewer "
-            "estimators cost less"
-        )
+        time = ""
+        if self.step:
+            each = f"{1e3 * self.step:.2g} ms per run and step"
+            time = f"about {_duration(self.seconds)} ({each}) and "
+        line = f"this will take {time}about {self.memory / 2**30:.2g} GiB"
+        if not fits and self.free is not None:
+            return (
+                f"{line}, and {self.free / 2**30:.2g} GiB are free: it may not fit; --keep "
+                "summary, fewer --workers, a shorter duration, or a smoother's window take less"
+            )
+        return f"{line}; fewer runs, a shorter duration or fewer estimators cost less"
 
 
 def lines(prepared: Setup, size: int, keep: str, workers: int, hidden: str = "") -> list[str]:
@@ -61,7 +71,7 @@ def lines(prepared: Setup, size: int, keep: str, workers: int, hidden: str = "")
     """
     runs = prepared.scenario.simulation.runs
     found = forecast(prepared, runs, size, keep, min(workers, executors.cpu_count()))
-    out = [*wide_channels(prepared), *([found.line] if found and found.line else [])]
+    out = [*wide_channels(prepared), *([found.line] if found.line else [])]
     return [*out, *([hidden] if out and hidden else [])]
 
 
@@ -75,8 +85,8 @@ def wide_channels(prepared: Setup) -> list[str]:
     ]
 
 
-def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> Forecast | None:
-    """Measure the first steps of a few runs, and extrapolate; None for what is short anyway.
+def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> Forecast:
+    """Measure the first steps of a few runs, and extrapolate; no time for what is short anyway.
 
     Args:
         prepared: the experiment.
@@ -86,22 +96,22 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
         workers: threads or processes, at most one per CPU counts.
     """
     steps, count = len(prepared.instants), max(1, len(prepared.scenario.estimators))
-    a_run = 3 * batch.run_bytes(prepared, keep) + batch.working_bytes(prepared)
-    memory = min(workers, -(-runs // size)) * size * a_run
+    memory = min(workers, -(-runs // size)) * batch.held_bytes(prepared, keep, size)
+    free = free_memory()
     width = max(space.n for space in prepared.channel_spaces.values())
     if width >= _WIDE:
         step = count * _factorization(width)
-        return Forecast(runs * steps * step / workers, step, memory)
+        return Forecast(runs * steps * step / workers, step, memory, free)
     if runs * steps * count * (2 * prepared.space.n + 1) < _SHORT:
-        return None if memory < LARGE else Forecast(0.0, 0.0, memory)
+        return Forecast(0.0, 0.0, memory, free)
     try:
         _seconds(prepared, _RUNS[0], _INSTANTS[0])  # what is done once in a process
         one, more = (_step(prepared, rows) for rows in _RUNS)
     except EstbenchError:  # told when the runs are computed
-        return None
+        return Forecast(0.0, 0.0, memory, free)
     each = max(more - one, 0.0) / (_RUNS[1] - _RUNS[0])
     step = max(one - each, 0.0) / size + each
-    return Forecast(runs * steps * step / workers, step, memory)
+    return Forecast(runs * steps * step / workers, step, memory, free)
 
 
 def _step(prepared: Setup, rows: int) -> float:

@@ -91,8 +91,8 @@ def run(
     size = batch_size or batch.default_batch_size(prepared, level)
     if rule is not None and batch_size is None:
         size = min(size, stopping.BATCH)
-    a_run = batch.run_bytes(prepared, level) + batch.working_bytes(prepared)
-    using = _pool(prepared, executor, address, workers, size * a_run)
+    held = batch.held_bytes(prepared, level, size)
+    using = _pool(prepared, executor, address, workers, held)
     hidden = unseen.notice(prepared)
     if say is not None:
         for line in forecast.lines(prepared, size, level, using.workers, hidden):

@@ -13,7 +13,7 @@ from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.factors import FactorBelief
 from estbench.estimators.iplf import IPLF
 from estbench.estimators.over import OverFilter
-from estbench.estimators.protocol import Estimator, FilterHistory
+from estbench.estimators.protocol import Estimator, FilterHistory, windows
 from estbench.estimators.settings import base, has_model, in_range, one_of, table, whole
 from estbench.estimators.ukf import PREDICTION, SigmaPointFilter
 from estbench.models.protocol import Model
@@ -32,15 +32,21 @@ class FilterThenSmooth(OverFilter):
     Innovations, NIS and the estimate that a controller receives are those of the filter; errors,
     NEES and RMSE are those of the smoother.
 
+    With a window the belief at each time is given the measurements up to the end of its window, and
+    the event loop keeps no more than one window of beliefs in memory. Each window starts from the
+    filter's posterior.
+
     Attributes:
         model: the filter's model.
         base: the filter, one of `bases`, or your own `package.module:Name`.
         settings: of the filter.
+        window: length of a window, s; default the complete run.
     """
 
     model: Model
     base: str = "ekf"
     settings: Mapping[str, Any] = field(default_factory=dict)
+    window: float | None = None
     bases: ClassVar[tuple[str, ...]] = ()
     _filter: Estimator = field(init=False, repr=False)
 
@@ -48,7 +54,33 @@ class FilterThenSmooth(OverFilter):
         has_model(self)
         table(self, "settings")
         base(self, self.bases)
+        if self.window is not None:
+            in_range(self, "window", 0.0, low_open=True)
         object.__setattr__(self, "_filter", registry.create(self.base, self.settings, self.model))
+
+    def check_schedule(self, duration: float, arrivals: int, given: Collection[str]) -> None:
+        """Refuse a window that is longer than the run.
+
+        Raises:
+            EstimatorError: the window exceeds the duration.
+        """
+        if self.window is not None and self.window > duration + 1e-9:
+            raise EstimatorError(
+                f"window is {self.window:g} s but the run only {duration:g} s; shorten it, or "
+                "leave it out for the whole run"
+            )
+
+    def smooth(self, history: FilterHistory) -> list[Gaussian]:
+        """Window after window."""
+        smoothed: list[Gaussian] = []
+        for part in windows(history.times, self.window):
+            found = self.smooth_window(history.part(part))
+            smoothed += found if part.stop == len(history.times) else found[:-1]
+        return smoothed
+
+    def smooth_window(self, history: FilterHistory) -> list[Gaussian]:
+        """The beliefs of one window."""
+        raise NotImplementedError
 
     def mean(self, belief: Any) -> Float[Array, "run nx"]:
         """x̂ `(run, nx)`, filtered or smoothed."""
@@ -81,7 +113,7 @@ class RTS(FilterThenSmooth):
     base: str = "sr_ekf"
     bases: ClassVar[tuple[str, ...]] = ("ekf", "iekf", "sr_ekf", "kf", "lkf", "cd_ekf")
 
-    def smooth(self, history: FilterHistory) -> list[Gaussian]:
+    def smooth_window(self, history: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors."""
         posteriors = self._posteriors(history.beliefs)
         return rts(self.model, posteriors, history.controls, history.times)
@@ -100,7 +132,7 @@ class URTS(FilterThenSmooth):
     base: str = "sr_ukf"
     bases: ClassVar[tuple[str, ...]] = ("ukf", "sr_ukf", "ckf", "ghkf", "rotated_ukf", "iplf")
 
-    def smooth(self, history: FilterHistory) -> list[Gaussian]:
+    def smooth_window(self, history: FilterHistory) -> list[Gaussian]:
         """Backwards through the filter's posteriors, with the points of its predictions."""
         filter, posteriors = self._filter, self._posteriors(history.beliefs)
         passage = self.model, posteriors, history.controls, history.times
@@ -136,8 +168,8 @@ class IPLS(FilterThenSmooth):
         whole(self, "iterations", 1, 1000)
         in_range(self, "tolerance", 0.0)
 
-    def smooth(self, history: FilterHistory) -> list[Gaussian]:
-        """Again and again over the whole run."""
+    def smooth_window(self, history: FilterHistory) -> list[Gaussian]:
+        """Again and again over the window."""
         filter = self._filter
         assert isinstance(filter, SigmaPointFilter | IPLF)
         return ipls(
@@ -159,55 +191,28 @@ class MAP(FilterThenSmooth):
     solution per run, which dominates. Choose it as the reference that no filter beats.
 
     Attributes:
-        window: length of a window, s; default the complete run.
         iterations: maximal number of linearizations.
         tolerance: a run has converged when no coordinate changes by more, in its own unit.
     """
 
     bases: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys((*RTS.bases, *URTS.bases)))
-    window: float | None = None
     iterations: int = 20
     tolerance: float = 1e-7
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.window is not None:
-            in_range(self, "window", 0.0, low_open=True)
         whole(self, "iterations", 1, 1000)
         in_range(self, "tolerance", 0.0, low_open=True)
 
-    def check_schedule(self, duration: float, arrivals: int, given: Collection[str]) -> None:
-        """Refuse a window that is longer than the run.
-
-        Raises:
-            EstimatorError: the window exceeds the duration.
-        """
-        if self.window is not None and self.window > duration + 1e-9:
-            raise EstimatorError(
-                f"window is {self.window:g} s but the run only {duration:g} s; shorten it, or "
-                "leave it out for the whole run"
-            )
-
-    def smooth(self, history: FilterHistory) -> list[Gaussian]:
-        """Window after window."""
-        filtered, times = self._posteriors(history.beliefs), np.asarray(history.times)
-        smoothed = []
-        first = 0
-        while first < len(times) - 1:
-            end = np.inf if self.window is None else times[first] + self.window + 1e-9
-            last = max(int(np.searchsorted(times, end, "right")) - 1, first + 1)
-            part = slice(first, last + 1)
-            fit = map_estimate(
-                self.model, gaussian(filtered[first]),
-                history.controls[first:last], history.times[part],
-                # The filter has fused the first ones already.
-                [[], *history.measurements[first + 1 : last + 1]],
-                start=[belief.mean for belief in filtered[part]],
-                iterations=self.iterations, tolerance=self.tolerance,
-            )  # fmt: skip
-            smoothed += fit.beliefs[: None if last == len(times) - 1 else -1]
-            first = last
-        return smoothed
+    def smooth_window(self, history: FilterHistory) -> list[Gaussian]:
+        """The most probable trajectory, from the filter's."""
+        filtered = self._posteriors(history.beliefs)
+        return map_estimate(
+            self.model, gaussian(filtered[0]), history.controls, history.times,
+            [[], *history.measurements[1:]],  # the filter has fused the first ones already
+            start=[belief.mean for belief in filtered],
+            iterations=self.iterations, tolerance=self.tolerance,
+        ).beliefs  # fmt: skip
 
 
 def _fault(belief: Any, runs: int) -> NDArray[np.uint8]:

@@ -71,7 +71,7 @@ def run(
         steps = study.scenario.simulation.runs * len(first.times) * len(study.labels)
         steps *= len(study.variants)
         kind = executors.choose(steps, executors.worker_count(workers))
-    count = workers or executors.fitting(kind, size * batch.run_bytes(first, level))
+    count = workers or executors.fitting(kind, batch.held_bytes(first, level, size))
     using = executors.pool(kind, count, address)
     pieces: dict[Piece, Outcomes] = {}
     kept = {d: common[d] for d in sorted(needed)}  # the same file in each process

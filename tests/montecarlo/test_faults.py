@@ -249,7 +249,7 @@ def test_where_nothing_fits_it_ends_soon():
 
 def test_workers_are_as_many_as_the_memory_holds():
     gib = 2**30
-    assert executors.fitting("threads", gib, cpus=64, memory=96 * gib) == 16
+    assert executors.fitting("threads", 3 * gib, cpus=64, memory=96 * gib) == 16
     assert executors.fitting("threads", 1, cpus=64, memory=96 * gib) == 64
     assert executors.fitting("processes", 1, cpus=64, memory=5 * gib) == 10
     assert executors.fitting("threads", gib, cpus=64, memory=0) == 1

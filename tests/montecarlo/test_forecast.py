@@ -1,6 +1,7 @@
 """Forecasts: what is said before a computation that takes long, and how true it is."""
 
 import time
+import tracemalloc
 from dataclasses import replace
 
 import pytest
@@ -22,13 +23,14 @@ def prepared(*arguments, **options):
 
 
 def test_short_runs_are_not_measured():
-    assert forecast.forecast(prepared("pendulum"), 50, 25, "summary", 2) is None
+    found = forecast.forecast(prepared("pendulum"), 50, 25, "summary", 2)
+    assert found.seconds == 0
+    assert not found.line
 
 
 def test_forecast_of_a_long_computation_is_its_cpu_time():
     made = prepared("quadrotor", "ekf", runs=12, duration=0.3)
     found = forecast.forecast(made, 100_000, 12, "summary", 1)
-    assert found is not None
     assert "this will take about" in found.line
     steps = len(made.instants)
     assert found.seconds == pytest.approx(100_000 * steps * found.step)
@@ -64,3 +66,30 @@ def test_coordinates_that_no_sensor_sees_are_named():
     assert unseen.notice(blind).startswith("no sensor can see cart")
     exact = replace(blind, initial=replace(blind.initial, factor=0.0 * blind.cov))
     assert unseen.notice(exact) == ""
+
+
+@pytest.mark.parametrize("label", ["ekf", "rts"])
+def test_the_memory_is_what_a_batch_takes(label):
+    made = prepared("pendulum", label, runs=50, duration=0.8, overrides=["bound=false"])
+    batch.run_batch(replace(made, instants=made.instants[:3]), range(2), "summary")  # imports
+    tracemalloc.start()
+    batch.run_batch(made, range(50), "summary")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most / 2 < batch.held_bytes(made, "summary", 50) < 2 * most
+
+
+def test_what_does_not_fit_is_said_before_it_starts(monkeypatch):
+    long = "estimators={rts={}}"
+    made = prepared("pendulum", None, runs=250, duration=100.0, overrides=[long])
+    windowed = prepared(
+        "pendulum", None, runs=250, duration=100.0, overrides=["estimators={rts={window=1.0}}"]
+    )
+    assert batch.held_bytes(windowed, "summary", 250) < 0.8 * batch.held_bytes(made, "summary", 250)
+    monkeypatch.setattr(forecast, "free_memory", lambda: 2**30)
+    monkeypatch.setattr(forecast, "_step", lambda made, rows: 1e-6 * rows)
+    assert "1 GiB are free: it may not fit; --keep summary" in "".join(
+        forecast.lines(made, 250, "summary", 2)
+    )
+    monkeypatch.setattr(forecast, "free_memory", lambda: 2**40)
+    assert not forecast.lines(made, 250, "summary", 2)
