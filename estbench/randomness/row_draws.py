@@ -17,6 +17,10 @@ BLOCK = 32
 """Draws that are made at a time where nobody knows how many there will be."""
 
 
+MOST = 1024
+"""Draws that are made at a time at most: the memory of a long run does not grow with them."""
+
+
 class RowDraws:
     """Numbers `(row, width)` of some purposes, side by side.
 
@@ -24,7 +28,8 @@ class RowDraws:
         rows: how many.
         parts: purpose of the streams -> numbers per draw.
         kind: standard normal, or uniform on [0, 1).
-        block: draws that are made at a time; all of them where their count is known.
+        block: draws that are made at a time, at most `MOST`; all of them where their count is
+            known.
         shape: what becomes of a block `(block, width)` before it is handed out, draw by draw;
             it must not mix the draws. Default nothing.
     """
@@ -40,7 +45,7 @@ class RowDraws:
         self._parts, self._width = dict(parts), sum(parts.values())
         self._kind, self._shape = kind, shape
         self._generators: list[list[np.random.Generator]] = [[] for _ in range(rows)]
-        self._length = max(1, block)
+        self._length = max(1, min(block, MOST))
         self._block = np.zeros((self._length, rows, self._width))
         self._every = np.arange(rows)
         self._count = np.zeros(rows, np.int64)

@@ -97,7 +97,10 @@ class Noting:
     def __init__(self, live: Live):
         self.events, self.x0 = live.events, live.x0
         self._live = live
-        self._x, self._u, self._deliveries = [live.x0], [], []
+        self._x = np.empty((len(live.events) + 1, *live.x0.shape))
+        self._x[0] = live.x0
+        self._u = np.empty(0)
+        self._deliveries: list[list[Delivery]] = []
 
     def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
         """The controller's answer to the states that it sees."""
@@ -108,14 +111,15 @@ class Noting:
     ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
         """Step the robots, and note it."""
         x, arrived = self._live.advance(k, u)
-        self._x.append(x)
-        self._u.append(u)
+        if not k:
+            self._u = np.empty((len(self.events), *u.shape))
+        self._x[k + 1], self._u[k] = x, u
         self._deliveries.append(arrived)
         return x, arrived
 
     def trajectory(self) -> Trajectory:
         """What happened."""
-        return Trajectory(np.stack(self._x), np.stack(self._u), self._deliveries)
+        return Trajectory(self._x, self._u, self._deliveries)
 
 
 def record(source: Live) -> Trajectory:
