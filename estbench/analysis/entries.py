@@ -245,11 +245,29 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table of the entries as a page."""
     head = (
         "# Entries\n\nEstimators of others on the reference scenarios and the recorded logs, by "
-        "`estbench leaderboard PACKAGE`. RMSE / reference: of runs paired with those of the "
-        "reference, geometric mean over the coordinates, with the 95% interval. A log has no "
+        "`estbench leaderboard PACKAGE`. RMSE ratio: to that of the reference on the same runs, "
+        "geometric mean over the coordinates, with the 95% interval. A log has no "
         "truth: its verdict is of the innovations. µs/step: of one core, per run.\n\n"
     )
-    return head + writers.markdown([table(rows)]).split("\n", 2)[2] + "\n"
+    packages = dict.fromkeys(
+        f"- `{row['estimator']}`: {row['package']} {row['package_version']}".rstrip()
+        + (f", estbench {row['estbench']}" if row.get("estbench") else "")
+        for row in rows
+        if row.get("verdict")
+    )
+    parts = [head + writers.markdown([table(rows)]).split("\n", 2)[2], "\n".join(packages)]
+    if lost := [f"- {place(r)}, `{r['estimator']}`: {r['note']}" for r in rows if _unrun(r)]:
+        parts.append("Not run:\n\n" + "\n".join(lost))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def place(row: Mapping[str, Any]) -> str:
+    """The scenario, and the log where there is one."""
+    return str(row["scenario"]) + (f", {row['log']}" if row.get("log") else "")
+
+
+def _unrun(row: Mapping[str, Any]) -> bool:
+    return not row.get("verdict") and bool(row.get("note"))
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -259,16 +277,15 @@ def table(rows: Sequence[Mapping[str, Any]]) -> Table:
         bounds = [_short(row.get(k)) for k in ("rmse_ratio_low", "rmse_ratio_high")]
         ratio = _short(row.get("rmse_ratio"))
         body.append([
-            str(row["scenario"]) + (f", {row['log']}" if row.get("log") else ""),
-            str(row["estimator"]), f"{row['package']} {row['package_version']}".strip(),
-            str(row.get("runs", "")), str(row.get("verdict") or "not run"),
-            f"{ratio} [{bounds[0]}, {bounds[1]}] of {row['reference']}" if ratio else "",
+            place(row), str(row["estimator"]), str(row.get("runs", "")),
+            str(row.get("verdict") or "not run"),
+            f"{ratio} [{bounds[0]}, {bounds[1]}]" if ratio else "", str(row.get("reference", "")),
             _short(row.get("anees_over_n")), _short(row.get("anis_over_m")),
             _short(row.get("cost_us_per_run_step")),
         ])  # fmt: skip
     headings = (
-        "<scenario", "<estimator", "<package", "runs", "<verdict", "<RMSE / reference", "NEES/n",
-        "NIS/m", "µs/step",
+        "<scenario", "<estimator", "runs", "<verdict", "RMSE ratio", "<to", "NEES/n", "NIS/m",
+        "µs/step",
     )  # fmt: skip
     return tabulate("entries", headings, body)
 

@@ -36,4 +36,7 @@ def leaderboard(
     rows = entries.enter(package, out, runs, robot or (), logs, say=say)
     table = entries.table(rows)
     console().print(table)
+    for row in rows:
+        if not row.get("verdict"):
+            say(f"{entries.place(row)}: not run: {row['note']}")
     console().print(f"{len(rows)} rows appended to {out}; table in {out.with_suffix('.md')}")

@@ -45,7 +45,7 @@ def test_rows_are_appended_with_versions_and_cost(package, tmp_path):
     assert first["mujoco"]
     assert first["anees_over_n"] == f"{row['anees_over_n']:.6g}"
     page = out.with_suffix(".md").read_text()
-    assert page.count("| pendulum |") == 2
+    assert page.count("| pendulum | ") == 2
     assert "steady-filter 1.2" in page
 
 
