@@ -5,6 +5,7 @@ In ```console and ```bash blocks the `estbench ...` commands run, `estbench run`
 A ```toml block is a scenario or part of one.
 A block after a line that ends in "`FILE`:" is that file, there for the page's commands.
 A block preceded by `<!-- no-test -->` is skipped.
+The commands of a page of `TOGETHER` run in order, in one folder.
 """
 
 import doctest
@@ -28,6 +29,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = [p for p in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if p.is_file()]
 ALONE = ("estimators.md",)
 """Pages of which each block runs by itself."""
+TOGETHER = ("start.md",)
+"""Pages of which each command needs those before it."""
 FENCE = re.compile(
     r"^(?P<skip><!-- no-test -->\s*\n)?(?P<indent> *)```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^ *```",
     re.MULTILINE | re.DOTALL,
@@ -64,6 +67,7 @@ def commands(page):
 COMMANDS = [
     pytest.param(page, words, id=f"{page.name}:{line}: {shlex.join(words)}")
     for page in PAGES
+    if page.name not in TOGETHER
     for line, words in commands(page)
 ]
 
@@ -103,6 +107,21 @@ def test_commands(page, words, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as exit_:
         cli.main()
     assert not exit_.value.code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name in TOGETHER], ids=lambda p: p.name)
+def test_commands_together(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    found = [words for _, words in commands(page)]
+    assert len(found) > 3
+    for words in found:
+        short = ["--runs", "3"] if words[1] in ("run", "tune") else []
+        short += ["--duration", "0.2"] if short else []
+        short += ["--iterations", "1"] if words[1] == "tune" else []
+        monkeypatch.setattr(sys, "argv", [*words, *short])
+        with pytest.raises(SystemExit) as exit_:
+            cli.main()
+        assert not exit_.value.code, (words, capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

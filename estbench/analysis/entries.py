@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, distribution, version
@@ -141,12 +142,13 @@ def _simulated(
         own = list(resolve(name).estimators)
         beside = own[0] if size > WHOLE else REFERENCE
         count = runs or (FEW if size > WHOLE else RUNS)
-        board = play(name, count, list(dict.fromkeys((beside, target))), workers)
+        board = play(name, count, list(dict.fromkeys((beside, target))), workers,
+            largest=math.inf)  # fmt: skip
     except EstbenchError as error:
         return row | {"note": " ".join(str(error).split())}
+    if target in board.skipped:
+        return row | {"note": board.skipped[target]}
     shown = target.rpartition(":")[2]
-    if shown in board.skipped:
-        return row | {"note": board.skipped[shown]}
     return row | _numbers(board, shown, beside)
 
 

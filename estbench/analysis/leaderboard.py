@@ -30,6 +30,7 @@ def play(
     estimators: Sequence[str] = (),
     workers: int | None = None,
     duration: float | None = None,
+    largest: float = WHOLE,
 ) -> Board:
     """Run the suitable estimators on a bundled scenario with its own seed.
 
@@ -40,6 +41,7 @@ def play(
             Default `MAIN`, and those of the scenario.
         workers: default the CPUs this process may use.
         duration: s; default the scenario's.
+        largest: most coordinates for an estimator that is not one of the scenario's.
 
     Raises:
         AnalysisError: none of them suits.
@@ -55,7 +57,7 @@ def play(
         except (EstimatorError, DimensionError) as error:
             skipped[label] = str(error)
             continue
-        if n > LARGEST.get(label, n if label in own else WHOLE):
+        if n > LARGEST.get(label, n if label in own else largest):
             skipped[label] = f"{n} coordinates are too many for it"
             continue
         chosen.append(label)

@@ -92,8 +92,8 @@ def observability(
 
     >>> import estbench
     >>> found = estbench.observability("pendulum", window=0.5, motions=False)
-    >>> [d.text for d in found.never]
-    []
+    >>> len(found.never)
+    0
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

@@ -14,7 +14,7 @@ import numpy as np
 
 import estbench
 
-scenario = Path("examples") / "sensor_bias.toml"
+scenario = Path(estbench.__file__).parents[1] / "examples" / "sensor_bias.toml"
 results = estbench.run(scenario, runs=60, duration=3.0)
 print(results)
 

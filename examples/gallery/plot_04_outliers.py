@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 
 import estbench
 
-scenario = Path("examples") / "outliers.toml"
+scenario = Path(estbench.__file__).parents[1] / "examples" / "outliers.toml"
 results = estbench.run(scenario, runs=60, duration=2.0)
 print(results)
 

@@ -1,10 +1,10 @@
 """
 # Contact
 
-A ball falls on the floor. An EKF linearizes at one point, which is above the floor or in it; a UKF's
-points lie in the same directions in each step, and its estimate is biased. `rotated_ukf` turns its
-points at random in each step and counts the covariance of the linearization error. On this hard
-floor neither is consistent, but both stay near 1, where the EKF is beyond 10.
+A ball falls on the floor. An EKF linearizes at one point, which is above the floor or in it. A
+UKF's points lie in the same directions in each step, and its estimate is biased. `rotated_ukf`
+turns its points at random in each step and counts the covariance of the linearization error. On
+this hard floor neither is consistent, but both stay near 1, where the EKF is beyond 10.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 
 import estbench
 
-scenario = Path("benchmarks") / "drop.toml"
+scenario = Path(estbench.__file__).parents[1] / "benchmarks" / "drop.toml"
 results = estbench.run(scenario, ["ekf", "ukf", "rotated_ukf"], runs=100, duration=1.5)
 print(results)
 

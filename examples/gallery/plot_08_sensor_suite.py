@@ -11,9 +11,7 @@ import numpy as np
 
 import estbench
 
-found = estbench.design(
-    "quadrotor", {"root.?": 0.05, "root.r?": 0.02}, duration=1.0, runs=0
-)
+found = estbench.design("quadrotor", {"root.?": 0.05, "root.r?": 0.02}, duration=1.0, runs=0)
 print("chosen:", ", ".join(found.chosen))
 
 names = list(found.names)

@@ -12,7 +12,7 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 
-import estbench.envs
+import estbench.envs  # noqa: F401  (registers the environments)
 from estbench.consistency.intervals import mean_interval
 
 ROWS, STEPS, ITERATIONS, KEPT = 64, 200, 8, 10
