@@ -22,6 +22,9 @@ _WIDE = 500
 _INSTANTS = 2, 6
 _RUNS = 1, 8
 """Two counts each, whose difference leaves out what is done once."""
+_SLOW = 0.05
+"""Seconds of a step of one run from which a batch of many runs is not measured: what is done once
+for a batch is then a small part, and the measurement would take a minute."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +109,12 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
         return Forecast(0.0, 0.0, memory, free)
     try:
         _seconds(prepared, _RUNS[0], _INSTANTS[0])  # what is done once in a process
-        one, more = (_step(prepared, rows) for rows in _RUNS)
+        each = one = _step(prepared, _RUNS[0])
+        if one < _SLOW:
+            more = _step(prepared, _RUNS[1])
+            each = max(more - one, 0.0) / (_RUNS[1] - _RUNS[0])
     except EstbenchError:  # told when the runs are computed
         return Forecast(0.0, 0.0, memory, free)
-    each = max(more - one, 0.0) / (_RUNS[1] - _RUNS[0])
     step = max(one - each, 0.0) / size + each
     return Forecast(runs * steps * step / workers, step, memory, free)
 

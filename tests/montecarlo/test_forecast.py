@@ -40,6 +40,21 @@ def test_forecast_of_a_long_computation_is_its_cpu_time():
     assert taken / 4 < found.step < 4 * taken
 
 
+def test_a_batch_is_not_measured_for_a_robot_whose_single_step_is_slow(monkeypatch):
+    """One step of one run is known after 10 of them; a batch would take 64 more."""
+    asked = []
+
+    def seconds(prepared, rows, instants):
+        asked.append(rows * instants)
+        return 0.2 * rows * instants
+
+    monkeypatch.setattr(forecast, "_seconds", seconds)
+    found = forecast.forecast(prepared("quadrotor", "ekf"), 100_000, 12, "summary", 1)
+    assert found is not None
+    assert found.step == pytest.approx(0.2)
+    assert sum(asked) == 10
+
+
 def test_a_sensor_of_thousands_of_values_is_named_only_where_it_is_in_use(tmp_path):
     path = tmp_path / "grid.xml"
     path.write_text(GRID)
