@@ -144,7 +144,7 @@ def _groups(columns: Mapping[str, Array]) -> list[tuple[str, ...]]:
         end = re.fullmatch(r"(.*?)[._\[]?([wxyz]|\d)\]?", name)
         if end:
             families.setdefault(end[1], {})[end[2]] = name
-    out = [(name,) for name in columns]
+    out: list[tuple[str, ...]] = [(name,) for name in columns]
     for family in families.values():
         for axes in ("wxyz", "xyz", "0123", "012", "123", "1234", "01", "12"):
             if all(axis in family for axis in axes):

@@ -24,6 +24,7 @@ from estbench.logs.prepare import prepare
 from estbench.logs.source import Log, LogSource
 from estbench.logs.trajectory import Poses
 from estbench.scenario.load import Chosen, Scenario, resolve
+from estbench.shapes import Bool, Mask
 
 
 def replay(
@@ -108,7 +109,7 @@ def _judged(prepared: Setup, log: Log, fused: Sequence[str], one: _Followed, mos
     section, times = prepared.scenario.consistency, prepared.times
     channels, components = tuple(prepared.channel_spaces), readings(prepared.channel_spaces)
     settled = (times > section.burn_in) & (times > 0)
-    series = _series(traces, settled)
+    series = series_of(traces, settled)
     record = records.reduce(traces, times, section, "log")
     diverged = bool(record["diverged"][0])
     sample = parts.of_log(traces, times, settled, diverged, series, most)
@@ -157,8 +158,13 @@ def _with_truth(
     return judged(traces, space, found), poses
 
 
-def _series(traces: Traces, settled: np.ndarray) -> InnovationSeries:
-    """The innovations of the updates that count."""
+def series_of(traces: Traces, settled: Bool[Mask, " time"]) -> InnovationSeries:
+    """The innovations of the updates that count.
+
+    Args:
+        traces: of one run, with its innovations.
+        settled: instants that count.
+    """
     assert traces.innovation is not None
     assert traces.innovation_cov is not None
     counted = settled[1:] & (traces.dof[:, 0] > 0)

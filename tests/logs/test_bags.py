@@ -198,8 +198,18 @@ def test_one_file_for_each_sensor(exported, tmp_path):
         arrays: dict[str, Any] = {c: table.columns[c] for c in columns}
         np.savez(logs[-1], **arrays)
     log = scenario.log.model_copy(update={"truth": None})
-    theirs = replay(scenario.model_copy(update={"log": log}), logs)["ekf"].traces
-    assert np.array_equal(theirs.mean, replay(scenario, file)["ekf"].traces.mean)
+    split = scenario.model_copy(update={"log": log})
+    theirs, ours = replay(split, logs)["ekf"].traces, replay(scenario, file)["ekf"].traces
+    assert np.array_equal(theirs.mean, ours.mean)
+    # The clock of a channel is 20 ms late, which its latency says: fused at the time it was taken.
+    np.savez(logs[0], time=table.columns["time"] + 0.02, encoder=table.columns["encoder"])
+    longer: dict[str, Any] = {"time": np.append(table.columns["time"], 1.0),
+                              "u.torque": np.append(table.columns["u.torque"], 0.0)}  # fmt: skip
+    np.savez(logs[2], **longer)
+    late = replay(split, logs, overrides=["log.channels.encoder.latency=0.02"])["ekf"].traces
+    assert late.late.sum() == 0
+    assert late.mean[50] != pytest.approx(ours.mean[50], abs=1e-4)  # the last have not come yet
+    assert np.nansum(late.nis) == pytest.approx(np.nansum(ours.nis), rel=1e-6)
 
 
 def test_trajectories_of_a_base(tmp_path):
