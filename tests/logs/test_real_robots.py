@@ -36,3 +36,15 @@ def test_double_pendulum():
     found = replay(scenario, file, ["ekf"], hold_out=held, overrides=["log.duration=1.5"])["ekf"]
     assert not found.failure
     assert all(p.error.std() < 0.5 for p in found.predictions)
+
+
+@needs_data
+def test_an_elastic_gear_explains_what_the_encoder_reads():
+    """The rotor's oscillation on the gear is in the model; docs/logs.md has the whole logs."""
+    file = DATA / "real_pendulum" / "swing_up_1.csv"
+    cut = {"hold_out": ["speed"], "overrides": ["log.duration=1.5"]}
+    rigid = replay("real_pendulum", file, ["ekf"], **cut)["ekf"]
+    elastic = replay("real_pendulum_elastic", file, ["ekf"], **cut)["ekf"]
+    gain = (elastic.log_likelihood - rigid.log_likelihood) / rigid.updates
+    assert gain > 0.4
+    assert abs(elastic.innovations.lag_one) < 0.2 < rigid.innovations.lag_one
