@@ -68,7 +68,7 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     """
     if not overrides:
         return reference.settled(scenario)
-    return _validate(scenario.model_dump(exclude_none=True), overrides, scenario.name)
+    return _validate(scenario.dumped(), overrides, scenario.name)
 
 
 Chosen = str | type | Sequence[str | type]

@@ -394,4 +394,14 @@ class Scenario(Section):
 
     def to_toml(self) -> str:
         """The scenario as TOML that `load` reads back to the same value."""
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+        return tomli_w.dumps(self.dumped("json"))
+
+    def dumped(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:
+        """The scenario as nested tables that validate to the same value.
+
+        A std of the start that is not given is left out: its default depends on the robot.
+        """
+        data = self.model_dump(mode=mode, exclude_none=True)
+        if "std" not in self.initial.model_fields_set:
+            del data["initial"]["std"]
+        return data

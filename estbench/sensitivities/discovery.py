@@ -143,6 +143,8 @@ def _hardware(setup: Setup, by_source: bool) -> Iterator[Parameter]:
             yield has(("process_noise", "density"), rows, _unit(moved))
     if scenario.initial.cov is not None:
         yield has(("initial", "cov"), scenario.initial.cov, power=2)
+    elif "std" not in scenario.initial.model_fields_set:
+        pass  # a default that depends on the robot, and says how states at the start are projected
     elif by_source:
         std = expand(scenario.initial.std, space.names, "initial.std")
         for name, value, unit in zip(space.names, std.tolist(), space.units):

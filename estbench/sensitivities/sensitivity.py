@@ -219,7 +219,7 @@ def _slopes(
     notices: list[str],
 ) -> tuple[Slope, ...]:
     """The elasticities of the parameters, the largest first."""
-    pairs = [(p, p.neighbours(1 + step)) for p in parameters if np.all(np.asarray(p.value) >= 0)]
+    pairs = [(p, p.neighbours(1 + step)) for p in parameters if np.any(p.value)]
     points = [p.changes(factor) for p, factors in pairs for factor in factors]
     found = evaluate([{}, *points])
     own, around = found[0], found[1:]

@@ -64,8 +64,10 @@ def changed(scenario: Scenario, values: Mapping[Names, Any]) -> Scenario:
     Raises:
         StudyError: a key does not exist, or a value does not fit it.
     """
-    data = scenario.model_dump(exclude_none=True)
+    data = scenario.dumped()
     for names, value in values.items():
+        if names[:2] == ("initial", "std"):
+            data["initial"].setdefault("std", scenario.initial.std)
         _assign(data, names, value)
     try:
         made = Scenario.model_validate(data)

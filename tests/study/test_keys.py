@@ -1,7 +1,9 @@
+import numpy as np
 import pytest
 
 from estbench.errors import StudyError
-from estbench.scenario.load import resolve
+from estbench.experiment.setup import build
+from estbench.scenario.load import parse, resolve
 from estbench.study import keys
 
 
@@ -39,3 +41,20 @@ def test_keys_that_do_not_exist():
         keys.changed(scenario, {("filter", "process_noise_scal"): 1.0})
     with pytest.raises(StudyError, match="which has no part 'x'"):
         keys.changed(scenario, {("name", "x"): 1.0})
+
+
+def test_what_a_scenario_does_not_say_stays_unsaid(tmp_path):
+    """The default of initial.std depends on the robot: with constraints it is a tenth."""
+    (tmp_path / "two.xml").write_text("""
+<mujoco><worldbody>
+  <body><joint name="a" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/></body>
+  <body><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/></body></worldbody>
+  <equality><joint joint1="a" joint2="b"/></equality>
+  <sensor><jointpos name="e" joint="a" noise="0.01"/></sensor></mujoco>""")
+    scenario = resolve(tmp_path / "two.xml", ["ekf"])
+    own = build(scenario).cov
+    same = keys.changed(scenario, {("filter", "process_noise_scale"): 2.0})
+    np.testing.assert_array_equal(build(same).cov, own)
+    np.testing.assert_array_equal(build(parse(scenario.to_toml())).cov, own)
+    wider = keys.changed(scenario, {("initial", "std", "a"): 0.5})
+    assert wider.initial.std == {"*": 0.05, "a": 0.5}
