@@ -249,7 +249,8 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
         "# Entries\n\nEstimators of others on the reference scenarios and the recorded logs, by "
         "`estbench leaderboard PACKAGE`. RMSE ratio: to that of the reference on the same runs, "
         "geometric mean over the coordinates, with the 95% interval. A log has no "
-        "truth: its verdict is of the innovations. µs/step: of one core, per run.\n\n"
+        "truth: its verdict is of the innovations. µs/step: of one core, per run; on "
+        "a log by the wall clock.\n\n"
     )
     packages = dict.fromkeys(
         f"- `{row['estimator']}`: {row['package']} {row['package_version']}".rstrip()
@@ -279,18 +280,21 @@ def table(rows: Sequence[Mapping[str, Any]]) -> Table:
         bounds = [_short(row.get(k)) for k in ("rmse_ratio_low", "rmse_ratio_high")]
         ratio = _short(row.get("rmse_ratio"))
         body.append([
-            place(row), str(row["estimator"]), str(row.get("runs", "")),
-            str(row.get("verdict") or "not run"),
+            place(row), str(row["estimator"]), str(row.get("verdict") or "not run"),
+            str(row.get("runs", "")),
             f"{ratio} [{bounds[0]}, {bounds[1]}]" if ratio else "", str(row.get("reference", "")),
             _short(row.get("anees_over_n")), _short(row.get("anis_over_m")),
             _short(row.get("cost_us_per_run_step")),
         ])  # fmt: skip
     headings = (
-        "<scenario", "<estimator", "runs", "<verdict", "RMSE ratio", "<to", "NEES/n", "NIS/m",
+        "<scenario", "<estimator", "<verdict", "runs", "RMSE ratio", "to", "NEES/n", "NIS/m",
         "µs/step",
     )  # fmt: skip
     return tabulate("entries", headings, body)
 
 
 def _short(value: Any) -> str:
-    return f"{float(value):.3g}" if value not in (None, "") else ""
+    if value in (None, ""):
+        return ""
+    x = float(value)
+    return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
