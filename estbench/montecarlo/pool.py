@@ -8,7 +8,7 @@ memory is tried again in the same way, while no other task takes any.
 
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -17,8 +17,8 @@ from concurrent.futures import (
     Future,
     wait,
 )
-from contextlib import closing
-from dataclasses import dataclass
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -51,6 +51,36 @@ class Pool:
     """Whether tasks run in this process's memory."""
     lost: Callable[[], bool] = lambda: False
     """Whether the workers are gone although their futures do not end."""
+    kept: bool = False
+    """Whether the executor outlives the tasks that it was made for."""
+
+
+@contextmanager
+def keeping(using: Pool) -> Iterator[Pool]:
+    """A pool of which one executor works off all tasks within the block.
+
+    A process takes seconds to start; a broken executor is replaced as before.
+
+    Args:
+        using: the workers.
+    """
+    living: list[Executor] = []
+
+    def make() -> Executor:
+        if not living:
+            living.append(using.make())
+        return living[0]
+
+    def abandon(executor: Executor) -> None:
+        living.clear()
+        using.abandon(executor)
+
+    try:
+        yield replace(using, make=make, abandon=abandon, kept=True)
+    finally:
+        for executor in living:
+            executor.shutdown(wait=True)
+            using.abandon(executor)
 
 
 def work_off(
@@ -162,8 +192,9 @@ def execute(
         stop()
         using.abandon(executor)
         raise
-    executor.shutdown(wait=True)
-    using.abandon(executor)  # a cluster's connection is left open otherwise
+    if not using.kept:
+        executor.shutdown(wait=True)
+        using.abandon(executor)  # a cluster's connection is left open otherwise
 
 
 DIED = "the worker died {} times (out of memory? killed?); take fewer --workers"

@@ -11,7 +11,7 @@ from estbench.experiment.setup import Setup, build
 from estbench.montecarlo import batch, dispatch, executors, forecast, stopping
 from estbench.montecarlo.completion import Done, Plan, complete
 from estbench.montecarlo.dispatch import Progress, Say
-from estbench.montecarlo.pool import Pool
+from estbench.montecarlo.pool import Pool, keeping
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
 from estbench.store.zarr import Store
@@ -113,12 +113,14 @@ def _until(rule: stopping.Rule, prepared: Setup, plan: Plan) -> Results:
         begun, size = Store.extent(plan.out)
         most = max(most, begun)
 
-    for count in stopping.looks(size, most, begun):
-        shown = replace(plan, progress=_onwards(plan.progress, count, most))
-        results = complete(_with_runs(prepared, count), shown, done)
-        plan = replace(plan, resume=True)
-        if results.interrupted or results.failed or rule.met(results):
-            break
+    with keeping(plan.using) as using:
+        for count in stopping.looks(size, most, begun):
+            progress = _onwards(plan.progress, count, most)
+            now = replace(plan, using=using, progress=progress)
+            results = complete(_with_runs(prepared, count), now, done)
+            plan = replace(plan, resume=True)
+            if results.interrupted or results.failed or rule.met(results):
+                break
     if results.interrupted or results.failed:
         return results
     return replace(results, notices=(*results.notices, rule.said(results, most)))

@@ -14,7 +14,7 @@ import numpy as np
 from estbench.consistency.intervals import Interval, runs_needed
 from estbench.consistency.scores import difference, inexact, score
 from estbench.consistency.verdict import MANY, Verdict
-from estbench.errors import EstimatorError, ScenarioError, did_you_mean
+from estbench.errors import EstimatorError, ScenarioError, did_you_mean, shown
 from estbench.montecarlo.results import Results
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
@@ -107,21 +107,28 @@ def rule(
         ScenarioError: the precision is not positive, or missing; or no verdict is ever decided.
         EstimatorError: the pair does not name two of the estimators.
     """
+    if not isinstance(decided, bool):
+        raise ScenarioError(f"until_decided is {shown(decided)}; use True or False")
     if decided and not scenario.consistency.tolerance:
         raise ScenarioError(
             "until_decided has no end with consistency.tolerance 0: no estimator is shown to be "
             "consistent, and one in five is refused by chance; use --precision"
         )
     if pair is not None and precision is None:
-        raise ScenarioError(f"precision_of is {pair!r} without a precision; add --precision 0.02")
+        raise ScenarioError(
+            f"precision_of is {shown(pair)} without a precision; add --precision 0.02"
+        )
     if precision is None:
         return Rule(None, None, True) if decided else None
     number = isinstance(precision, int | float) and not isinstance(precision, bool)
     if not (number and 0 < precision < math.inf):
-        raise ScenarioError(f"precision is {precision!r}; use a positive half-width, e.g. 0.02")
-    if pair is not None and len(set(pair)) != 2:
+        raise ScenarioError(
+            f"precision is {shown(precision)}; use a positive half-width, e.g. 0.02"
+        )
+    texts = isinstance(pair, tuple | list) and all(isinstance(x, str) for x in pair)
+    if pair is not None and not (texts and len(pair) == len(set(pair)) == 2):
         raise EstimatorError(
-            f"precision_of is {','.join(pair)!r}; use the labels of two estimators, e.g. ekf,ukf"
+            f"precision_of is {shown(pair)}; use the labels of two estimators, e.g. ekf,ukf"
         )
     labels = scenario.estimators
     for label in pair or ():

@@ -86,6 +86,9 @@ def test_what_is_not_reached_is_said():
         ((None, ("ekf", "ukf"), False), ScenarioError, "without a precision"),
         ((0.1, ("ekf",), False), EstimatorError, "labels of two estimators"),
         ((0.1, ("ekf", "ekf"), False), EstimatorError, "labels of two estimators"),
+        ((0.1, 3, False), EstimatorError, "precision_of is 3; use the labels"),
+        (("0.1", None, False), ScenarioError, "precision is '0.1'; use a positive"),
+        ((None, None, "no"), ScenarioError, "until_decided is 'no'; use True or False"),
         ((0.1, ("ekf", "ufk"), False), EstimatorError, r"'ufk', which is not run \(did you mean"),
     ],
 )
