@@ -16,6 +16,7 @@ def test_the_committed_schema_is_that_of_the_code():
 
 def test_every_scenario_names_it():
     files = [*bundled().values(), *(ROOT / "examples").rglob("*.toml")]
+    files = [file for file in files if file.name != "pyproject.toml"]
     assert len(files) > 15
     for file in files:
         first = file.read_text("utf-8").splitlines()[0]
