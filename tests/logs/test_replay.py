@@ -186,6 +186,7 @@ def test_degrees_are_suspected_and_converted(exported, tmp_path):
 
 def test_the_commands(exported, tmp_path, monkeypatch, capsys):
     file, scenario = exported
+    monkeypatch.chdir(tmp_path)  # the default folder of the results is in it
 
     def typed(*words):
         monkeypatch.setattr("sys.argv", ["estbench", *map(str, words)])
