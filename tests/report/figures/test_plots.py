@@ -14,10 +14,17 @@ from estbench.report.figures import data, innovations, paper, plots
 @pytest.mark.parametrize("columns", [1, 2])
 def test_every_kind_is_drawn_as_wide_as_it_should_be(entries, tmp_path, what, columns):
     path = tmp_path / "a.png"
-    plots.plot(plots.Paper(entries("two"), columns), what, path)
+    kept = "full" if what == "innovation" else "two"
+    plots.plot(plots.Paper(entries(kept), columns), what, path)
     picture = matplotlib.image.imread(path)
     assert picture.shape[1] == round(paper.WIDTHS[columns] * 200)
     assert (picture[..., :3].min(axis=2) < 0.8).mean() > 0.01  # there is ink
+
+
+def test_innovations_that_were_not_kept(entries, tmp_path):
+    with pytest.raises(StoreError, match="kept none; run with --keep full"):
+        plots.plot(plots.Paper(entries("two"), 1), "innovation", tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("kind", paper.FORMATS)
