@@ -29,7 +29,7 @@ NOT_REFUTED = (Verdict.CONSISTENT, Verdict.UNDECIDED)
 def scenarios() -> dict[str, Path]:
     """All that are bundled and all examples, by name."""
     paths = [*bundled().values(), *sorted(EXAMPLES.rglob("*.toml"))]
-    return {load(path).name: path for path in paths}
+    return {load(path).name: path for path in paths if path.name != "pyproject.toml"}
 
 
 def main() -> None:

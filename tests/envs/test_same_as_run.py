@@ -22,6 +22,7 @@ SCENARIOS = sorted(
     str(path.relative_to(ROOT))
     for folder in ("assets", "examples")
     for path in (ROOT / folder).rglob("*.toml")
+    if path.name != "pyproject.toml"
 )
 MORE = {
     "everything late": (
