@@ -12,6 +12,7 @@ from estbench.commands.shared import (
     Overrides,
     Scenario,
     Seed,
+    check_plot,
     chosen,
     console,
     progress,
@@ -59,15 +60,12 @@ def budget(
     from estbench.experiment.setup import build
     from estbench.scenario.load import resolve
     from estbench.tables import formats
-    from estbench.tables.destination import check_file
 
     formats.check(format_)
     if plot is not None:
         from estbench.report.figures import budgets as figures
-        from estbench.report.figures import paper
 
-        paper.check_format(plot)
-        check_file(plot)
+        check_plot(plot)
     named = None if estimator is None else [estimator]
     resolved = budgets.one(resolve(scenario, named, runs, seed, duration, overrides or ()))
     setup = build(resolved)

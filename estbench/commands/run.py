@@ -16,6 +16,7 @@ from estbench.commands.shared import (
     Scenario,
     Seed,
     Shard,
+    check_plot,
     console,
     progress,
     say,
@@ -158,14 +159,11 @@ def _like(
 ) -> None:
     """`--like`: runs like a log, compared with it; nothing is stored."""
     from estbench.logs import likeness, likeness_results
-    from estbench.tables.destination import check_file
 
     if plot is not None:
         from estbench.report.figures import likeness as figures
-        from estbench.report.figures import paper
 
-        paper.check_format(plot)
-        check_file(plot)
+        check_plot(plot)
     changes = [*(overrides or ()), *(() if seed is None else (f"simulation.seed={seed}",))]
     found = likeness.like(
         scenario, str(log).split(","), estimators, hold_out=hold_out or (),

@@ -12,6 +12,7 @@ from estbench.commands.shared import (
     Overrides,
     Scenario,
     Seed,
+    check_plot,
     chosen,
     console,
     progress,
@@ -92,15 +93,12 @@ def sensitivity(
     from estbench.sensitivities import sensitivity as analysis
     from estbench.sensitivities import tables
     from estbench.tables import formats
-    from estbench.tables.destination import check_file
 
     formats.check(format_)
     if plot is not None:
-        from estbench.report.figures import paper
         from estbench.report.figures import sensitivities as figures
 
-        paper.check_format(plot)
-        check_file(plot)
+        check_plot(plot)
     named = None if estimator is None else [estimator]
     resolved = one(resolve(scenario, named, runs, seed, duration, overrides or ()))
     names = build(resolved).space.names

@@ -47,6 +47,15 @@ def console() -> Console:
     return found if found.is_terminal else Console(highlight=False, width=100)
 
 
+def check_plot(path: Path) -> None:
+    """Refuse, before anything is computed, a figure that cannot be written."""
+    from estbench.report.figures import paper
+    from estbench.tables.destination import check_file
+
+    paper.check_format(path)
+    check_file(path)
+
+
 def say(line: str) -> None:
     """Print one line on standard error at once; control characters in names become escapes."""
     print(visible(line), file=sys.stderr, flush=True)

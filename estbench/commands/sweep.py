@@ -15,6 +15,7 @@ from estbench.commands.shared import (
     Scenario,
     Seed,
     Shard,
+    check_plot,
     console,
     progress,
     shares,
@@ -73,13 +74,11 @@ def sweep(
     from estbench.store import zarr as store
     from estbench.study import run as running
     from estbench.study import sweep as sweeping
-    from estbench.tables.destination import check_file
 
     if plot is not None:
-        from estbench.report.figures import paper, sweeps
+        from estbench.report.figures import sweeps
 
-        paper.check_format(plot)
-        check_file(plot)
+        check_plot(plot)
     if not over:
         raise StudyError("no key is varied; name one with --over KEY=SPEC")
     resolved = resolve(scenario, estimator, runs, seed, duration, overrides or ())

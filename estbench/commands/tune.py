@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from estbench.commands.shared import Duration, Json, Overrides, Scenario, Seed, console, say
+from estbench.commands.shared import (
+    Duration,
+    Json,
+    Overrides,
+    Scenario,
+    Seed,
+    check_plot,
+    console,
+    say,
+)
 from estbench.errors import StudyError
 
 
@@ -91,16 +100,13 @@ def tune(
     """Fit what an estimator believes to the readings, and prove it on runs it has not seen."""
     from estbench.scenario.load import resolve
     from estbench.store import zarr as store
-    from estbench.tables.destination import check_file
     from estbench.tuning import parameters
     from estbench.tuning import tune as tuning
 
     if plot is not None:
-        from estbench.report.figures import paper
         from estbench.report.figures import tuning as figures
 
-        paper.check_format(plot)
-        check_file(plot)
+        check_plot(plot)
     resolved = resolve(scenario, [estimator], runs, seed, duration, overrides or ())
     given = {"runs": runs, "duration": duration} if log else {}  # refused there
     folder = out if out is not None or resume else store.default_folder(f"{resolved.name}-tuned")
