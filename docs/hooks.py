@@ -20,6 +20,8 @@ PAGES = {
     "README.md": "index.md",
 }
 """File of the repository -> page of the site; README's place is that of the first page."""
+TABLES = {"leaderboard.md", "entries.md", "results-estimators.md"}
+"""Pages of wide tables, which have the column of the table of contents too."""
 _OUTSIDE = re.compile(r"\]\((?:\.\./)+(?P<path>[^)#\s]+)(?P<anchor>#[^)\s]*)?\)")
 _MATH = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<tex>.*?)\\[)\]]</(?P=tag)>', re.S
@@ -44,6 +46,8 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, config, files):
     """Turn links to files of the repository into links to pages or to copies."""
+    if page.file.src_uri in TABLES:
+        page.meta.setdefault("hide", ["toc"])
     return _OUTSIDE.sub(_inside, markdown)
 
 

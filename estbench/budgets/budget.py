@@ -34,10 +34,11 @@ def budget(
     of each source by itself. By Monte Carlo too, where it is asked for: each source alone, and all
     but each. See docs/budgets.md.
 
-    >>> import estbench
-    >>> found = estbench.budget("pendulum", "ekf", duration=0.5).dataset()
-    >>> found.share.sel(coordinate="hinge.vel").idxmax().item()
-    'gyro.noise'
+    Examples:
+        >>> import estbench
+        >>> found = estbench.budget("pendulum", "ekf", duration=0.5).dataset()
+        >>> found.share.sel(coordinate="hinge.vel").idxmax().item()
+        'gyro.noise'
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

@@ -58,11 +58,12 @@ def sensitivity(
     what it believes, which becomes wrong; one of the hardware changes robot and belief alike. See
     docs/sensitivity.md.
 
-    >>> import estbench
-    >>> found = estbench.sensitivity(
-    ...     "pendulum", key=["channels.*.noise"], runs=20, duration=0.5).dataset()
-    >>> found.rmse.idxmax("parameter").item()
-    'channels.gyro.noise'
+    Examples:
+        >>> import estbench
+        >>> found = estbench.sensitivity(
+        ...     "pendulum", key=["channels.*.noise"], runs=20, duration=0.5).dataset()
+        >>> found.rmse.idxmax("parameter").item()
+        'channels.gyro.noise'
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

@@ -53,11 +53,12 @@ def sweep(
     Variants that differ only in what the filters believe or in the estimators share truth and
     readings, which are simulated once; all variants have common random numbers.
 
-    >>> import estbench
-    >>> q = {"filter.process_noise_scale": [0.1, 1]}
-    >>> found = estbench.sweep("pendulum", q, ["ekf"], runs=20, duration=1.0)
-    >>> float(found.log_likelihood.sel(estimator="ekf").idxmax("filter.process_noise_scale"))
-    1.0
+    Examples:
+        >>> import estbench
+        >>> q = {"filter.process_noise_scale": [0.1, 1]}
+        >>> found = estbench.sweep("pendulum", q, ["ekf"], runs=20, duration=1.0)
+        >>> float(found.log_likelihood.sel(estimator="ekf").idxmax("filter.process_noise_scale"))
+        1.0
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

@@ -95,10 +95,11 @@ def design(
 ) -> Design:
     """The cheapest suite of sensors with which σ is small enough, and what each sensor buys.
 
-    >>> import estbench
-    >>> found = estbench.design("pendulum", "hinge=0.01", duration=0.5, runs=0)
-    >>> found.chosen
-    ('encoder',)
+    Examples:
+        >>> import estbench
+        >>> found = estbench.design("pendulum", "hinge=0.01", duration=0.5, runs=0)
+        >>> found.chosen
+        ('encoder',)
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

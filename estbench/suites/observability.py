@@ -90,10 +90,11 @@ def observability(
 ) -> Observability:
     """What the sensors see of the state, along the motion of one true run without process noise.
 
-    >>> import estbench
-    >>> found = estbench.observability("pendulum", window=0.5, motions=False)
-    >>> len(found.never)
-    0
+    Examples:
+        >>> import estbench
+        >>> found = estbench.observability("pendulum", window=0.5, motions=False)
+        >>> len(found.never)
+        0
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.

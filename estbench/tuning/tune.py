@@ -61,12 +61,13 @@ def tune(
     The loss is that of the same runs for every candidate (common random numbers): truth and
     readings are simulated once. Then the estimator before and after runs on as many held-out runs.
 
-    >>> import estbench
-    >>> start = ["filter.measurement_noise_scale=100"]
-    >>> tuned = estbench.tune("pendulum", "ekf", ["filter.measurement_noise_scale"], runs=8,
-    ...                       duration=0.2, overrides=start, held_out=0)
-    >>> bool(0.7 < tuned["filter.measurement_noise_scale"] < 1.4)
-    True
+    Examples:
+        >>> import estbench
+        >>> start = ["filter.measurement_noise_scale=100"]
+        >>> tuned = estbench.tune("pendulum", "ekf", ["filter.measurement_noise_scale"], runs=8,
+        ...                       duration=0.2, overrides=start, held_out=0)
+        >>> bool(0.7 < tuned["filter.measurement_noise_scale"] < 1.4)
+        True
 
     Args:
         scenario: a bundled name, a TOML or MJCF path, a results folder, or a `Scenario`.
