@@ -1,5 +1,6 @@
 """Rendering without a display: MuJoCo with OSMesa or EGL."""
 
+import atexit
 import ctypes
 import ctypes.util
 import os
@@ -60,6 +61,7 @@ class Renderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self.close = weakref.finalize(self, _free, self._gl, self._mjr)
         """Free the OpenGL context: on a call, at garbage collection, or at the end of Python."""
+        atexit.register(self.close)  # before mujoco.egl ends its display; weakref's own comes after
 
     def __enter__(self) -> "Renderer":
         return self

@@ -1,3 +1,5 @@
+import atexit
+
 import mujoco
 import numpy as np
 import pytest
@@ -157,3 +159,15 @@ def test_a_backend_that_was_asked_for_and_does_not_work(monkeypatch):
 def test_an_unknown_camera(quadrotor):
     with pytest.raises(render.RenderError, match=r"camera is 'top'; the model has view"):
         render.Renderer(quadrotor.plant.model, 64, 64, "top")
+
+
+@needs_gl
+def test_a_renderer_that_is_not_closed_is_freed_before_egl_ends_its_display(quadrotor, monkeypatch):
+    calls, register = [], atexit.register  # the end of Python runs them from the last to the first
+    monkeypatch.setattr(
+        atexit, "register", lambda f, *a, **k: calls.append(f) or register(f, *a, **k)
+    )
+    renderer = render.Renderer(quadrotor.plant.model, 64, 64)
+    assert calls[-1] is renderer.close
+    renderer.close()
+    assert renderer.close() is None  # at the end of Python again
