@@ -1,5 +1,6 @@
 """Batches on workers: the outcome of each, and when to give up."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -15,6 +16,9 @@ Progress = Callable[[int, int], None]
 """Called with the count of finished runs and that of all runs."""
 Say = Callable[[str], None]
 """Called with a notice that the user should read before the runs are computed."""
+
+EXPERIMENTS = itertools.count()
+"""Numbers of the experiments of this process."""
 
 
 def check_shard(shard: tuple[int, int] | None) -> None:
@@ -71,7 +75,10 @@ def compute(
     """
     toml = prepared.scenario.to_toml()
     folder = None if target is None else str(target.folder.resolve())
-    tasks = [worker.Task(toml, keep, folder, i, (r.start, r.stop)) for i, r in batches.items()]
+    number = next(EXPERIMENTS)
+    tasks = [
+        worker.Task(toml, keep, folder, i, (r.start, r.stop), number) for i, r in batches.items()
+    ]
     failed: dict[int, Exception] = {}
     total, computed = sum(map(len, batches.values())), 0
 

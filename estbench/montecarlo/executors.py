@@ -1,20 +1,15 @@
 """The pools of each kind, and how many workers fit the machine."""
 
-import contextlib
-import multiprocessing
 import os
-import signal
-import threading
-from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import partial
 
 from estbench.errors import ExecutorError
 from estbench.experiment.size import free_memory
+from estbench.montecarlo import team
 from estbench.montecarlo.pool import Pool
 
 KINDS = ("auto", "threads", "processes", "dask")
-LONG = 20_000_000
-"""Steps of all runs and estimators, some minutes of one core, above which processes are faster."""
 PROCESS_BYTES = 250 * 2**20
 """Memory of a process before it computes anything."""
 
@@ -49,53 +44,34 @@ def is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def choose(steps: int, cpus: int) -> str:
-    """The kind that `auto` means: threads or processes.
-
-    Threads start at once but use few CPUs, as only the physics and the linear algebra run without
-    the interpreter's lock. A spawned process takes seconds to start.
-
-    Args:
-        steps: of all runs and estimators together.
-        cpus: available.
-    """
-    return "processes" if cpus > 4 and steps >= LONG else "threads"
-
-
 def fitting(kind: str, batch: int, cpus: int | None = None, memory: int | None = None) -> int:
     """One worker per CPU, or as many as half of the free memory holds.
 
     Args:
-        kind: `threads` or `processes`.
+        kind: `threads`, `processes` or `both`.
         batch: bytes of one batch while it is computed, from `batch.held_bytes`.
         cpus: default those this process may use.
         memory: bytes; default the free memory of the machine or of this process's control group.
     """
     cpus = cpu_count() if cpus is None else cpus
     memory = free_memory() if memory is None else memory
-    a_worker = batch + (PROCESS_BYTES if kind == "processes" else 0)
+    a_worker = batch + (0 if kind == "threads" else PROCESS_BYTES)
     return cpus if memory is None else max(1, min(cpus, memory // 2 // max(1, a_worker)))
 
 
 def pool(kind: str, workers: int, address: str | None = None) -> Pool:
-    """The pool of a kind.
+    """The pool of a kind: one of `KINDS`, or `both`, this process and spawned ones.
 
     Raises:
         ExecutorError: the kind is unknown, or the dask scheduler does not answer.
         MissingExtraError: dask.distributed is not installed.
     """
     if kind == "threads":
-        return Pool(
-            lambda: ThreadPoolExecutor(workers, "estbench"), workers, _leave, 2 * workers, True
-        )
-    if kind == "processes":
-        context = multiprocessing.get_context("spawn")
-        return Pool(
-            lambda: ProcessPoolExecutor(workers, context, _start),
-            workers,
-            _kill,
-            workers,
-        )
+        return Pool(lambda: ThreadPoolExecutor(workers, "estbench"), workers, _leave, 2 * workers)
+    if kind in ("processes", "both"):
+        here = 1 if kind == "both" else 0
+        make = partial(team.kept, here, workers - here)
+        return Pool(make, workers, team.dismiss, 2 * workers, kept=True)
     if kind == "dask":
         from estbench.montecarlo import dask  # an extra, slow to import
 
@@ -105,29 +81,3 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
 
 def _leave(executor: Executor) -> None:
     executor.shutdown(wait=True, cancel_futures=True)
-
-
-def _kill(executor: Executor) -> None:
-    """Kill the processes; their unfinished tasks give no result."""
-    processes = list((getattr(executor, "_processes", None) or {}).values())
-    executor.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        with contextlib.suppress(OSError, ValueError):
-            process.kill()
-
-
-def _start() -> None:
-    """Initialize a process: it ignores Ctrl-C and exits when its parent dies.
-
-    Ctrl-C reaches every process of the terminal, and the parent handles it. A parent that is killed
-    cannot end its children, which would wait for tasks without end.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_follow, args=(parent.join,), daemon=True).start()
-
-
-def _follow(parent: Callable[[], None]) -> None:
-    parent()
-    os._exit(1)

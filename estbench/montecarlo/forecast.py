@@ -10,18 +10,22 @@ from estbench.errors import EstbenchError
 from estbench.experiment.prepared import Setup
 from estbench.experiment.size import free_memory
 from estbench.montecarlo import batch, executors
+from estbench.robots.batch import unlocked
+from estbench.shapes import Array
 
 LONG = 60.0
 """Seconds from which a computation is worth a line."""
 LARGE = 4 * 2**30
 """Bytes from which its memory is."""
-_SHORT = 5_000_000
+_SHORT = 1_000_000
 """Evaluations of the model below which a run is short on any machine; nothing is measured then."""
 _WIDE = 500
 """Values of one measurement from which the factorization of S dominates."""
 _INSTANTS = 2, 6
 _RUNS = 1, 8
 """Two counts each, whose difference leaves out what is done once."""
+_PROBE = 0.02
+"""Seconds of an instant of the last measurement, of as many runs as take that long, or a batch."""
 _SLOW = 0.05
 """Seconds of a step of one run from which a batch of many runs is not measured: what is done once
 for a batch is then a small part, and the measurement would take a minute."""
@@ -36,12 +40,15 @@ class Forecast:
         step: seconds of one step of one run, over all estimators.
         memory: bytes that the workers take together.
         free: bytes that are free; None where it is not known.
+        locked: share of the time outside of MuJoCo, under the interpreter's lock; None where it was
+            not measured.
     """
 
     seconds: float
     step: float
     memory: int
     free: int | None = None
+    locked: float | None = None
 
     @property
     def line(self) -> str:
@@ -62,7 +69,14 @@ class Forecast:
         return f"{line}; fewer runs, a shorter duration or fewer estimators cost less"
 
 
-def lines(prepared: Setup, size: int, keep: str, workers: int, hidden: str = "") -> list[str]:
+def lines(
+    prepared: Setup,
+    size: int,
+    keep: str,
+    workers: int,
+    hidden: str = "",
+    found: Forecast | None = None,
+) -> list[str]:
     """What to say before the runs of an experiment that takes long are computed.
 
     Args:
@@ -71,9 +85,10 @@ def lines(prepared: Setup, size: int, keep: str, workers: int, hidden: str = "")
         keep: what is stored of each.
         workers: threads or processes.
         hidden: what no sensor sees, which is worth a line then.
+        found: the forecast, if it has been made.
     """
     runs = prepared.scenario.simulation.runs
-    found = forecast(prepared, runs, size, keep, min(workers, executors.cpu_count()))
+    found = found or forecast(prepared, runs, size, keep, min(workers, executors.cpu_count()))
     out = [*wide_channels(prepared), *([found.line] if found.line else [])]
     return [*out, *([hidden] if out and hidden else [])]
 
@@ -110,28 +125,34 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
     try:
         _seconds(prepared, _RUNS[0], _INSTANTS[0])  # what is done once in a process
         each = one = _step(prepared, _RUNS[0])
-        if one < _SLOW:
+        if one.sum() < _SLOW:
             more = _step(prepared, _RUNS[1])
-            each = max(more - one, 0.0) / (_RUNS[1] - _RUNS[0])
+            each = np.maximum(more - one, 0.0) / (_RUNS[1] - _RUNS[0])
+        parts = np.maximum(one - each, 0.0) / size + each
+        rows = int(np.clip(_PROBE / max(parts.sum(), 1e-9), 1, size))
+        if rows > _RUNS[1]:  # as in a batch: what a few runs take differs from it
+            parts = _step(prepared, rows) / rows
     except EstbenchError:  # told when the runs are computed
         return Forecast(0.0, 0.0, memory, free)
-    step = max(one - each, 0.0) / size + each
-    return Forecast(runs * steps * step / workers, step, memory, free)
+    step = float(parts.sum())
+    locked = float(parts[0]) / step if step else None
+    return Forecast(runs * steps * step / workers, step, memory, free, locked)
 
 
-def _step(prepared: Setup, rows: int) -> float:
-    """Seconds of one instant of so many runs."""
+def _step(prepared: Setup, rows: int) -> Array:
+    """Seconds of one instant of so many runs, under the interpreter's lock and without it."""
     few, more = (_seconds(prepared, rows, count) for count in _INSTANTS)
-    return max(more - few, 0.0) / (_INSTANTS[1] - _INSTANTS[0])
+    return np.maximum(more - few, 0.0) / (_INSTANTS[1] - _INSTANTS[0])
 
 
-def _seconds(prepared: Setup, rows: int, instants: int) -> float:
-    """CPU time of the first instants of some runs."""
+def _seconds(prepared: Setup, rows: int, instants: int) -> Array:
+    """CPU time of the first instants of some runs, under the interpreter's lock and without it."""
     short = replace(prepared, instants=prepared.instants[:instants])
-    began = time.process_time()
+    began, without = time.process_time(), unlocked()
     for _ in batch.traced(short, range(rows), bounded=bounds.wanted(prepared)):
         pass
-    return time.process_time() - began
+    without = unlocked() - without
+    return np.array([time.process_time() - began - without, without])
 
 
 def _factorization(m: int) -> float:

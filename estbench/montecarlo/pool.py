@@ -1,28 +1,20 @@
 """A pool of workers, and the loop that runs tasks on one: threads, processes, or a dask cluster.
 
-The three have one interface, `concurrent.futures.Executor`. The death of a worker breaks the whole
-executor: a new one is made and the unfinished tasks are tried again one at a time, so that a task
-that kills its worker is identified and reported while the others complete. A task that runs out of
-memory is tried again in the same way, while no other task takes any.
+The three have one interface, `concurrent.futures.Executor`. A task whose worker dies is tried again
+alone, and reported if it kills its worker each time, while the others complete. A task that runs
+out of memory is tried again in the same way, while no other task takes any.
 """
 
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Generic, TypeVar
 
 from estbench.errors import ExecutorError
+from estbench.montecarlo.team import WorkerDiedError
 
 T = TypeVar("T")
 POLL = 1.0
@@ -45,10 +37,7 @@ class Pool:
     workers: int
     abandon: Callable[[Executor], None]
     queue: int
-    """Tasks submitted at once. Processes get only as many as run at once, so that few tasks can be
-    the cause of a worker's death."""
-    local: bool = False
-    """Whether tasks run in this process's memory."""
+    """Tasks submitted at once."""
     lost: Callable[[], bool] = lambda: False
     """Whether the workers are gone although their futures do not end."""
     kept: bool = False
@@ -57,13 +46,14 @@ class Pool:
 
 @contextmanager
 def keeping(using: Pool) -> Iterator[Pool]:
-    """A pool of which one executor works off all tasks within the block.
-
-    A process takes seconds to start; a broken executor is replaced as before.
+    """A pool of which one executor works off all tasks within the block; others end it.
 
     Args:
         using: the workers.
     """
+    if using.kept:
+        yield using
+        return
     living: list[Executor] = []
 
     def make() -> Executor:
@@ -81,6 +71,25 @@ def keeping(using: Pool) -> Iterator[Pool]:
         for executor in living:
             executor.shutdown(wait=True)
             using.abandon(executor)
+
+
+@dataclass(frozen=True)
+class _Here:
+    """A function with what its tasks share in this process; another process gets it bare."""
+
+    function: Callable[..., Any]
+    stop: Callable[[], bool]
+    prepared: Any
+
+    def __call__(self, task: Any) -> Any:
+        return self.function(task, stop=self.stop, prepared=self.prepared)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return _bare, (self.function,)
+
+
+def _bare(function: Callable[..., Any]) -> Callable[..., Any]:
+    return function
 
 
 def work_off(
@@ -106,10 +115,9 @@ def work_off(
         Whether Ctrl-C came.
     """
     stopping = threading.Event()
-    if using.local:
-        function = partial(function, stop=stopping.is_set, prepared=prepared)
+    here = _Here(function, stopping.is_set, prepared)
     try:
-        with closing(execute(function, tasks, using, stopping.set)) as outcomes:
+        with closing(execute(here, tasks, using, stopping.set)) as outcomes:
             for outcome in outcomes:
                 if isinstance(outcome, Failed):
                     failed(outcome.task, outcome.error)
@@ -147,14 +155,10 @@ def execute(
             # long as no task has succeeded they run first, so that a hopeless run ends soon.
             alone = bool(suspects) and not (fresh and succeeded)
             source, limit = (suspects, 1) if alone else (fresh, using.queue)
-            broken = False
-            while source and len(waiting) < limit and not broken:
+            while source and len(waiting) < limit:
                 task = source.popleft()
                 try:
                     waiting[executor.submit(function, task)] = task
-                except BrokenExecutor:  # a worker died before; this task is no suspect
-                    source.appendleft(task)
-                    broken = True
                 except Exception as error:  # a lost cluster accepts no tasks
                     yield Failed(task, ExecutorError(f"{LOST} ({type(error).__name__}: {error})"))
             finished, _ = wait(waiting, POLL, FIRST_COMPLETED) if waiting else ((), ())
@@ -168,8 +172,8 @@ def execute(
                 task = waiting.pop(future)
                 try:
                     result = future.result()
-                except BrokenExecutor:
-                    broken, lost[task] = True, DIED
+                except WorkerDiedError:
+                    lost[task] = DIED
                 except MemoryError:
                     lost[task] = NO_MEMORY
                 except Exception as error:  # what the task raised is its failure
@@ -177,11 +181,6 @@ def execute(
                 else:
                     succeeded = True
                     yield task, result
-            if broken:
-                lost |= dict.fromkeys(waiting.values(), DIED)
-                waiting.clear()
-                using.abandon(executor)
-                executor = using.make()
             for task, reason in lost.items():
                 deaths[task] += 1
                 if deaths[task] <= retries:

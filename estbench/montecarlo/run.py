@@ -8,10 +8,10 @@ from typing import Literal
 from estbench.errors import ExecutorError, StoreError
 from estbench.experiment import unseen
 from estbench.experiment.setup import Setup, build
-from estbench.montecarlo import batch, dispatch, executors, forecast, stopping
+from estbench.montecarlo import batch, dispatch, executors, forecast, scaling, stopping
 from estbench.montecarlo.completion import Done, Plan, complete
 from estbench.montecarlo.dispatch import Progress, Say
-from estbench.montecarlo.pool import Pool, keeping
+from estbench.montecarlo.pool import keeping
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
 from estbench.store.zarr import Store
@@ -62,7 +62,8 @@ def run(
             if more are asked for.
         shard: (i, n) computes the i-th of n shares of the batches, 1 <= i <= n, into one store.
         executor: `threads`, `processes` (spawned, so that a script needs its
-            `if __name__ == "__main__":`), `auto` (processes for long work on many CPUs), or `dask`.
+            `if __name__ == "__main__":`), `auto` (this process and spawned ones where they would
+            finish first, else threads), or `dask`.
         address: of the dask scheduler.
         workers: count of threads or processes; default the CPUs this process may use, or as many
             as the memory allows.
@@ -92,10 +93,15 @@ def run(
     if rule is not None and batch_size is None:
         size = min(size, stopping.BATCH)
     held = batch.held_bytes(prepared, level, size)
-    using = _pool(prepared, executor, address, workers, held)
+    kind, found = str(executor), None
+    if kind == "auto":
+        count = workers or executors.fitting("threads", held)
+        found = forecast.forecast(prepared, resolved.simulation.runs, size, level, count)
+        kind = scaling.choose(found, count, executors.cpu_count())
+    using = executors.pool(kind, workers or executors.fitting(kind, held), address)
     hidden = unseen.notice(prepared)
     if say is not None:
-        for line in forecast.lines(prepared, size, level, using.workers, hidden):
+        for line in forecast.lines(prepared, size, level, using.workers, hidden, found):
             say(line)
     plan = Plan(
         using, size, level, stored, None if out is None else Path(out),
@@ -181,12 +187,3 @@ def _level(prepared: Setup, keep: str, dtype: str, stored: bool) -> tuple[str, t
         f"the traces of all runs would take {size:.3g} GiB, more than {most:.3g}: only averages "
         "are stored; --keep diagonal stores the traces too",
     )
-
-
-def _pool(prepared: Setup, kind: str, address: str | None, workers: int | None, size: int) -> Pool:
-    """The pool, with as many workers as fit the machine."""
-    if kind == "auto":
-        scenario = prepared.scenario
-        steps = scenario.simulation.runs * len(prepared.times) * max(1, len(scenario.estimators))
-        kind = executors.choose(steps, executors.worker_count(workers))
-    return executors.pool(kind, workers or executors.fitting(kind, size), address)

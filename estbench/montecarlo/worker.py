@@ -23,6 +23,8 @@ class Task:
         folder: store to write to, or None.
         index: number of the batch.
         runs: first run and the one after the last.
+        experiment: its number; a process that is kept must not take a model from an earlier one,
+            as the file of the robot may have changed.
     """
 
     toml: str
@@ -30,6 +32,7 @@ class Task:
     folder: str | None
     index: int
     runs: tuple[int, int]
+    experiment: int = 0
 
 
 def work(
@@ -47,13 +50,14 @@ def work(
     Raises:
         EstbenchError: the batch cannot be computed or written.
     """
-    prepared = prepared or _prepared(task.toml)
+    prepared = prepared or _prepared(task.toml, task.experiment)
     runs = range(*task.runs)
     batch = run_batch(prepared, runs, task.keep, stop)
     if batch is None:
         return None
     if task.folder is not None:
-        _store(task.folder, task.toml).write(task.index, batch.truth, batch.records)
+        store = _store(task.folder, task.toml, task.experiment)
+        store.write(task.index, batch.truth, batch.records)
     return {
         label: {name: record[name] for name in SUMMARY | COST}
         for label, record in batch.records.items()
@@ -61,10 +65,10 @@ def work(
 
 
 @lru_cache(maxsize=2)
-def _prepared(toml: str) -> Setup:
+def _prepared(toml: str, experiment: int) -> Setup:
     return build(parse(toml))
 
 
 @lru_cache(maxsize=2)
-def _store(folder: str, toml: str) -> Store:
-    return Store.reopen(Path(folder), _prepared(toml))
+def _store(folder: str, toml: str, experiment: int) -> Store:
+    return Store.reopen(Path(folder), _prepared(toml, experiment))

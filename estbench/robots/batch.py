@@ -6,6 +6,8 @@ large, an engine error) is NaN in the result; MuJoCo itself would reset it witho
 
 import math
 import re
+import threading
+import time
 from collections.abc import Sequence
 from typing import Any, get_args
 
@@ -21,6 +23,20 @@ from estbench.spaces.linalg import surely_finite
 
 _NO_MEMORY = re.compile("unknown exception|bad_alloc|allocate", re.IGNORECASE)
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+
+
+class _Unlocked(threading.local):
+    """CPU time of one thread inside `Batch`, which holds no lock of the interpreter."""
+
+    seconds = 0.0
+
+
+_unlocked = _Unlocked()
+
+
+def unlocked() -> float:
+    """CPU seconds that this thread has computed without the interpreter's lock, in `Batch`."""
+    return _unlocked.seconds
 
 
 def _made(model: mujoco.MjModel, count: int, nthread: int) -> Batch:
@@ -282,6 +298,7 @@ class BatchBackend:
     def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
         """Step, or compute forward stages; the mask of the rows without a result, or None."""
         failed: Mask | None = None
+        began = time.thread_time()
         try:
             if nstep:
                 batch.step(nstep=nstep)
@@ -290,6 +307,7 @@ class BatchBackend:
         except SimulationError as error:
             failed = np.zeros(batch.nsim, bool)
             failed[error.ids] = True
+        _unlocked.seconds += time.thread_time() - began
         warned = batch.warning[:, _BAD_STATE, 1]
         if np.count_nonzero(warned):
             blown = warned.any(axis=1)

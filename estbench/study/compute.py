@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from estbench.experiment.setup import Setup, build, variant
-from estbench.montecarlo.dispatch import Progress
+from estbench.montecarlo.dispatch import EXPERIMENTS, Progress
 from estbench.montecarlo.pool import Pool, work_off
 from estbench.scenario.load import parse
 from estbench.study.design import Study
@@ -25,11 +25,13 @@ class Task:
         piece: what it computes.
         tomls: the scenarios of the group.
         runs: first run and the one after the last.
+        experiment: its number, as in `worker.Task`.
     """
 
     piece: Piece
     tomls: tuple[str, ...]
     runs: tuple[int, int]
+    experiment: int = 0
 
 
 def prepare(study: Study) -> list[list[Setup]]:
@@ -68,7 +70,8 @@ def compute(
         Piece -> error of those that failed as a whole, and whether Ctrl-C came.
     """
     tomls = [tuple(s.scenario.to_toml() for s in group) for group in prepared]
-    tasks = [Task((g, b), tomls[g], (batches[b].start, batches[b].stop)) for g, b in wanted]
+    number = next(EXPERIMENTS)
+    tasks = [Task((g, b), tomls[g], (batches[b].start, batches[b].stop), number) for g, b in wanted]
     size = {(g, b): len(prepared[g]) * len(batches[b]) for g, b in wanted}
     total, done = sum(size.values()), 0
     errors: dict[Piece, Exception] = {}
@@ -92,12 +95,12 @@ def work(
     prepared: Sequence[Sequence[Setup]] | None = None,
 ) -> Outcomes | None:
     """Compute one piece: its truth once, then every estimator of every variant on it."""
-    group = _built(task.tomls) if prepared is None else prepared[task.piece[0]]
+    group = _built(task.tomls, task.experiment) if prepared is None else prepared[task.piece[0]]
     runs = range(*task.runs)
     return evaluate(group, runs, simulated(group[0], runs), stop)
 
 
 @lru_cache(maxsize=2)
-def _built(tomls: tuple[str, ...]) -> Sequence[Setup]:
+def _built(tomls: tuple[str, ...], experiment: int) -> Sequence[Setup]:
     base = build(parse(tomls[0]))
     return [base, *(variant(base, parse(toml)) for toml in tomls[1:])]

@@ -19,7 +19,7 @@ def test_one_executor_works_off_all_tasks_of_a_block():
         assert dict(execute(abs, [-3], kept)) == {-3: 3}
         assert len(made) == 1
         assert not ended
-        kept.abandon(made[0])  # it broke, and is replaced
+        kept.abandon(made[0])  # it is lost, and replaced
         assert dict(execute(abs, [-4], kept)) == {-4: 4}
     assert ended == made
     assert len(made) == 2

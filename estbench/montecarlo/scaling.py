@@ -1,0 +1,49 @@
+"""Threads or processes: which of them would finish first, from what was measured of the work.
+
+Threads start at once, but wait for each other wherever they hold the interpreter's lock. A spawned
+process has a lock of its own, and takes seconds to start.
+"""
+
+from estbench.montecarlo.forecast import Forecast
+
+START = 2.0
+"""CPU seconds in which a spawned process has imported what it needs."""
+SURE = 1.05
+"""How many times the processes must be faster; the forecast is no better."""
+
+
+def choose(found: Forecast, workers: int, cpus: int) -> str:
+    """What `auto` means: `threads`, or `both`, this process and `workers - 1` spawned ones.
+
+    Args:
+        found: time of all batches if `workers` shared it evenly, and share under the lock.
+        workers: that compute at once.
+        cpus: which they share.
+    """
+    if workers < 2 or found.locked is None:
+        return "threads"
+    cores = min(workers, cpus)
+    work = found.seconds * workers
+    apart = (work + (workers - 1) * START) / cores
+    threads = work / min(cores, thread_speed(found.locked, workers))
+    return "both" if SURE * apart < threads else "threads"
+
+
+def thread_speed(locked: float, threads: int) -> float:
+    """Speed of threads over that of one, that wait in a queue for the lock.
+
+    With a share s of the work under the lock, of which Q_(n-1) others hold or await it when one of
+    n threads comes: R_n = s (1 + Q_(n-1)), X_n = n / (1 - s + R_n), Q_n = X_n R_n. For many threads
+    it tends to 1 / s. Mean value analysis of a closed queue, Reiser and Lavenberg, Journal of the
+    ACM 27 (1980), 313-322.
+
+    Args:
+        locked: share of one thread's time under the lock.
+        threads: count.
+    """
+    speed = queued = 0.0
+    for n in range(1, threads + 1):
+        held = locked * (1 + queued)
+        speed = n / (1 - locked + held)
+        queued = speed * held
+    return speed

@@ -1,0 +1,28 @@
+import pytest
+
+from estbench.montecarlo.forecast import Forecast
+from estbench.montecarlo.scaling import choose, thread_speed
+
+
+def test_threads_that_queue_for_a_lock():
+    assert thread_speed(0.0, 16) == pytest.approx(16)
+    assert thread_speed(1.0, 16) == pytest.approx(1)
+    assert thread_speed(0.4, 1) == pytest.approx(1)
+    assert thread_speed(0.4, 2) == pytest.approx(2 / (0.6 + 0.4 * 1.4))
+    assert thread_speed(0.4, 64) == pytest.approx(1 / 0.4, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "locked", "workers", "cpus", "kind"),
+    [
+        (100.0, 0.4, 2, 2, "both"),
+        (2.0, 0.4, 2, 2, "threads"),  # over before a process has started
+        (100.0, 0.02, 2, 2, "threads"),  # nobody waits for the lock
+        (100.0, 0.15, 16, 16, "both"),
+        (10.0, 0.15, 16, 2, "threads"),  # the start of fifteen on two cores
+        (100.0, 0.4, 1, 2, "threads"),
+        (100.0, None, 16, 16, "threads"),  # not measured: it is short
+    ],
+)
+def test_processes_are_taken_where_they_finish_first(seconds, locked, workers, cpus, kind):
+    assert choose(Forecast(seconds, 1e-5, 0, None, locked), workers, cpus) == kind
