@@ -24,15 +24,16 @@ class Member:
     Args:
         env: the environment.
         place: where its model and data are.
+        pending: whether nobody knows the fields of the model yet.
 
     Attributes:
         env, model, data: the environment, and its MuJoCo model and data as of the last `begin`.
     """
 
-    def __init__(self, env: Any, place: Place):
+    def __init__(self, env: Any, place: Place, pending: bool = True):
         self.env, self._place = env, place
         self.model, self.data = place.find(env)
-        self._new, self._looked = True, fields.Looked(self.model)
+        self._new, self._looked = pending, fields.Looked(self.model)
         self._size = mujoco.mj_stateSize(self.model, _WHOLE)
 
     def begin(self) -> None:
@@ -44,9 +45,14 @@ class Member:
         self._new |= model is not self.model or self._looked.again(thorough=True)
         self.model, self.data = model, data
 
+    def pending(self) -> bool:
+        """Whether the fields of the model are not those of the last call of `changes`."""
+        self._new |= self._looked.again()
+        return self._new
+
     def changes(self) -> Fields | None:
         """All fields of the model, if they are not those of the last call; else None."""
-        if not (self._looked.again() or self._new):
+        if not self.pending():
             return None
         self._new = False
         return fields.read(self.model)

@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.utils import RecordConstructorArgs
 
+from estbench.envs.copies import carried, restore
 from estbench.envs.member import Member
 from estbench.envs.place import Given, Place
 from estbench.robots.fields import Fields
@@ -35,7 +36,8 @@ class RecordTruth(gym.Wrapper, RecordConstructorArgs):
     def __init__(self, env: gym.Env, model: Given = "follow", data: Given = None):
         RecordConstructorArgs.__init__(self, model=model, data=data)
         gym.Wrapper.__init__(self, env)
-        self._member = Member(env, Place(env, model, data))
+        self._place = Place(env, model, data)
+        self._member = Member(env, self._place)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -54,3 +56,14 @@ class RecordTruth(gym.Wrapper, RecordConstructorArgs):
         changes = self._member.changes()
         model = {} if changes is None else {MODEL: Sent(changes)}
         return {STATE: self._member.state(), **model}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The wrapper, and what a copy of the environment lacks."""
+        state = {name: value for name, value in vars(self).items() if name != "_member"}
+        pending = self._member.pending()
+        return {"state": state, "carried": carried(self.env), "pending": pending}
+
+    def __setstate__(self, copied: dict[str, Any]) -> None:
+        vars(self).update(copied["state"])
+        restore(self.env, copied["carried"])
+        self._member = Member(self.env, self._place, copied["pending"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import estbench.envs  # noqa: F401  (registers the environments)
-from estbench.envs import EstimatedObservation, VectorEstimatedObservation
+from estbench.envs import EstimatedObservation, RecordTruth, VectorEstimatedObservation
 from estbench.envs.errors import EnvError
 
 
@@ -16,8 +16,8 @@ def wrapped(name="InvertedPendulum-v5", **kwargs):
     return EstimatedObservation(gym.make(name), estimator="ekf", **kwargs)
 
 
-def vector_of_others():
-    inner = gym.make_vec("InvertedPendulum-v5", 3, vectorization_mode="sync")
+def vector_of_others(*wrappers):
+    inner = gym.make_vec("InvertedPendulum-v5", 3, vectorization_mode="sync", wrappers=wrappers)
     return VectorEstimatedObservation(inner, estimator="ekf")
 
 
@@ -40,7 +40,9 @@ MAKERS = {
     "native vector": lambda: gym.make_vec("estbench/CartPole-v0", 3, observe="belief"),
     "wrapped, its own observation": lambda: wrapped("HalfCheetah-v5"),
     "wrapped, the state": lambda: wrapped("Reacher-v5", observe="state"),
+    "truth recorded": lambda: RecordTruth(gym.make("InvertedPendulum-v5")),
     "wrapped vector": vector_of_others,
+    "wrapped vector, truth recorded": lambda: vector_of_others(RecordTruth),
 }
 
 
@@ -55,7 +57,7 @@ def same(one, other):
 @pytest.mark.parametrize("how", ["deepcopy", "pickle"])
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_copy_goes_on_as_the_original(name, how):
-    if how == "pickle" and name == "wrapped vector":
+    if how == "pickle" and name.startswith("wrapped vector"):
         pytest.skip("gymnasium's SyncVectorEnv holds functions that pickle refuses")
     env = MAKERS[name]()
     env.action_space.seed(3)
