@@ -305,8 +305,7 @@ class BatchBackend:
             else:
                 batch.forward(stage=stage)
         except SimulationError as error:
-            failed = np.zeros(batch.nsim, bool)
-            failed[error.ids] = True
+            failed = np.isin(np.arange(batch.nsim), error.ids)
         _unlocked.seconds += time.thread_time() - began
         warned = batch.warning[:, _BAD_STATE, 1]
         if np.count_nonzero(warned):

@@ -11,17 +11,22 @@ from pathlib import Path
 import mujoco, numpy as np
 from estbench.robots import backend, library, mjcf
 
-def callback():
-    file = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(file)), "mjcb_time").value
+file = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+dll = ctypes.CDLL(str(file))
+said = []
+handler = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(said.append)
+ctypes.c_void_p.in_dll(dll, "mju_user_warning").value = ctypes.cast(handler, ctypes.c_void_p).value
+
+def callback(name):
+    return ctypes.c_void_p.in_dll(dll, name).value
 
 def settings():
     log = mujoco.MjLogConfig.get()
-    return callback(), log.logto_console, log.logto_file
+    return callback("mjcb_time"), callback("mju_user_warning"), log.logto_console, log.logto_file
 
 before = settings()
-assert before[0] is not None
-changed = (None, 0, 0)
+assert None not in before[:2]
+changed = (None, None, 0, 0)
 model = mjcf.compile_model(mujoco.MjSpec.from_string(
     '<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>'
 ))
@@ -48,6 +53,7 @@ assert settings() == before
 one = backend.create(model)
 x = np.full((1, one.nx), 1e30)
 assert np.isnan(one.step(x, np.zeros((1, model.nu)), 0.0, 1)).all()
+assert not said
 one.close()
 assert settings() == before
 """,
