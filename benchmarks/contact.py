@@ -28,6 +28,7 @@ LIKE = {"walker2d": "hopper", "humanoid": "ant"}
 """Robots without an example of their own -> the one that they are sensed and shaken like."""
 ROBOTS = ("hopper", "half_cheetah", "ant", "walker2d", "humanoid")
 MAIN = ("ekf", "ukf", "rotated_ukf", "diplf")
+OMEGA = "benchmarks.contact_omega:OmegaUKF"
 VARIANTS: dict[str, dict[str, Any]] = {
     **{name: {} for name in MAIN},
     "w0": {"type": "rotated_ukf", "centre_weight": 0.0},
@@ -39,6 +40,10 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "only_omega0.5": {"type": "rotated_ukf", "omega": 0.5},
     "only_K4": {"type": "rotated_ukf", "rotations": 4},
     "K3_omega0.2": {"type": "rotated_ukf", "rotations": 3, "omega": 0.2},
+    "shrunk0.3_omega0": {"type": OMEGA, "shrinkage": 0.3, "omega": 0.0},
+    "shrunk0.3_omega0.1": {"type": OMEGA, "shrinkage": 0.3, "omega": 0.1},
+    "averaged_omega0.2": {"type": OMEGA, "rate": 0.3, "omega": 0.2},
+    "averaged_omega0.4": {"type": OMEGA, "rate": 0.3, "omega": 0.4},
     "iplf": {"base": "rotated_ukf"},
     "urts": {},
     "ipls": {"base": "rotated_ukf", "iterations": 3},

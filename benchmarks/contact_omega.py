@@ -1,0 +1,69 @@
+"""Other uses of Ω in the prediction of `rotated_ukf`, tried and not taken: docs/contact.md.
+
+One rotation of 2 n points knows Ω, the covariance of the linearization error, with a sampling
+error. Both filters make it smaller at the UKF's cost, so that ω might be smaller.
+"""
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from estbench.estimators.rotated_ukf import RotatedBelief, RotatedUKF
+from estbench.estimators.ukf import PREDICTION, failed_factor
+from estbench.estimators.update import mark_failed
+from estbench.shapes import Array, Float, Keys, UInt
+from estbench.spaces.linalg import symmetrize
+from estbench.spaces.semidefinite import psd_root
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AveragedBelief(RotatedBelief):
+    """The mean of Ω over the last predictions; None before the first."""
+
+    error: Float[Array, "run n n"] | None = None
+
+
+@dataclass(frozen=True)
+class OmegaUKF(RotatedUKF):
+    """P⁻ = A Aᵀ + Ω' + ω Ω̄ + Q, with Ω' shrunk to the diagonal of Ω and Ω̄ its running mean.
+
+    Ω' = (1 - λ) Ω + λ diag Ω and Ω̄ₖ = (1 - ρ) Ω̄ₖ₋₁ + ρ Ω'ₖ.
+
+    Attributes:
+        shrinkage: λ, in [0, 1] (Ledoit & Wolf, J. Multivariate Analysis 88(2), 2004).
+        rate: ρ, in (0, 1]; 1 keeps no past.
+    """
+
+    shrinkage: float = 0.0
+    rate: float = 1.0
+
+    def init(
+        self,
+        mean: Float[Array, "run nx"],
+        cov: Float[Array, "run n n"],
+        keys: UInt[Keys, " run"] | None = None,
+    ) -> AveragedBelief:
+        """Start from N(mean, cov)."""
+        start = super().init(mean, cov, keys)
+        return AveragedBelief(
+            start.mean, start.cov, start.fault, keys=start.keys, counter=start.counter
+        )
+
+    def predict(
+        self, belief: AveragedBelief, u: Float[Array, "run nu"], t: float, dt: float
+    ) -> AveragedBelief:
+        """x̂⁻ of `rotated_ukf`, and P⁻ as above."""
+        factor, rule = psd_root(belief.cov), self.rule_at(belief, PREDICTION)
+        points = rule.draw(self.model.space, belief.mean, factor)
+        points = self.model.transition(points, u, t, dt)
+        mean, residual, cov = rule.moments(self.model.space, points)
+        noise = self.model.process_noise(belief.mean, u, t, dt)
+        error = rule.regress(residual, cov)[1]
+        shrunk = error + self.shrinkage * (error * np.eye(error.shape[-1]) - error)
+        past = shrunk if belief.error is None else belief.error
+        kept = past + self.rate * (shrunk - past)
+        cov = symmetrize(cov - error + shrunk + noise + self.omega * kept)
+        prior = replace(belief, mean=mean, cov=cov, error=kept)
+        prior = cast(AveragedBelief, mark_failed(prior, failed_factor(factor, belief.cov)))
+        return cast(AveragedBelief, self.drawn(prior))
