@@ -65,6 +65,22 @@ def test_it_is_judged_on_the_other_log(logs, tuned):
     assert plain["after"]["nis_over_m"]["value"] == again.innovations.nis.value
 
 
+def test_the_latency_of_a_channel_is_found(logs, tmp_path):
+    """An encoder whose readings are stamped two periods late; bounds of 4.5 standard errors."""
+    scenario, (file, _) = logs
+    rows = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()]
+    column = rows[0].index("encoder")
+    values = [row[column] for row in rows[1:]]
+    for row, value in zip(rows[1:], ["", "", *values[:-2]]):
+        row[column] = value
+    late = tmp_path / "late.csv"
+    late.write_text("\n".join(map(",".join, rows)), encoding="utf-8")
+    key, matched = "log.channels.encoder.latency", [f"{OFFSET}=0", f"{R}=1"]
+    tuned = tune(scenario, "ekf", [f"{key}=0:0.05"], logs=[late], overrides=matched, iterations=3)
+    std = 0.05 * tuned.uncertainty.std[0]  # that of the search is in shares of the range
+    assert abs(tuned[key] - 0.02) < 4.5 * std < 0.02
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
