@@ -9,6 +9,7 @@ from estbench.estimators.settings import has_model, one_of
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
+from estbench.spaces import fused
 from estbench.spaces.linalg import symmetrize
 
 
@@ -36,7 +37,9 @@ class EKF(GaussianEstimator):
         """x̂⁻ = f(x̂⁺, u), P⁻ = Φ P⁺ Φᵀ + Q (Bishop, eq. 11)."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
-        cov = symmetrize(F @ belief.cov @ F.mT + Q)
+        cov = fused.predicted(F, belief.cov, Q)
+        if cov is None:
+            cov = symmetrize(F @ belief.cov @ F.mT + Q)
         return mark_failed(belief.moved(mean, cov))
 
     def update(

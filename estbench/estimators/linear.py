@@ -5,9 +5,10 @@ from typing import Literal, TypeVar, cast
 import numpy as np
 
 from estbench.estimators.beliefs import Gaussian
-from estbench.estimators.protocol import Innovation
+from estbench.estimators.protocol import Gain, Innovation
 from estbench.estimators.update import Correction, apply_correction, correct
 from estbench.shapes import Array, Bool, Float, Mask
+from estbench.spaces import fused
 from estbench.spaces.linalg import identity, pad_absent, symmetrize
 from estbench.spaces.manifold import Manifold
 
@@ -36,6 +37,12 @@ def linear_update(
         mask: True where a component arrived; None if all did.
         form: form of the covariance, see `posterior_cov`.
     """
+    loop = fused.updated(belief.cov, H, R, residual) if form == "joseph" and mask is None else None
+    if loop is not None:
+        dof = np.array([H.shape[-2]]).repeat(len(residual))
+        gain = Gain(loop.W.mT, loop.lower)
+        innovation = Innovation(residual, loop.S, loop.white, loop.nis, dof, loop.lower, gain=gain)
+        return cast(Belief, apply_correction(space, belief, loop.delta, loop.cov)), innovation
     PHt = belief.cov @ H.mT
     c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
     cov = symmetrize(posterior_cov(form, belief.cov, c, H, R))
