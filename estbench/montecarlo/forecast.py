@@ -88,7 +88,7 @@ def lines(
         found: the forecast, if it has been made.
     """
     runs = prepared.scenario.simulation.runs
-    found = found or forecast(prepared, runs, size, keep, min(workers, executors.cpu_count()))
+    found = found or forecast(prepared, runs, size, keep, workers)
     out = [*wide_channels(prepared), *([found.line] if found.line else [])]
     return [*out, *([hidden] if out and hidden else [])]
 
@@ -113,6 +113,7 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
         keep: what is stored of each.
         workers: threads or processes, at most one per CPU counts.
     """
+    workers = min(workers, executors.cpu_count())
     steps, count = len(prepared.instants), max(1, len(prepared.scenario.estimators))
     memory = min(workers, -(-runs // size)) * batch.held_bytes(prepared, keep, size)
     free = free_memory()

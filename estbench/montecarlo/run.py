@@ -92,13 +92,8 @@ def run(
     size = batch_size or batch.default_batch_size(prepared, level)
     if rule is not None and batch_size is None:
         size = min(size, stopping.BATCH)
-    held = batch.held_bytes(prepared, level, size)
-    kind, found = str(executor), None
-    if kind == "auto":
-        count = workers or executors.fitting("threads", held)
-        found = forecast.forecast(prepared, resolved.simulation.runs, size, level, count)
-        kind = scaling.choose(found, count, executors.cpu_count())
-    using = executors.pool(kind, workers or executors.fitting(kind, held), address)
+    total = resolved.simulation.runs
+    using, found = scaling.pool(executor, prepared, total, size, level, workers, address)
     hidden = unseen.notice(prepared)
     if say is not None:
         for line in forecast.lines(prepared, size, level, using.workers, hidden, found):

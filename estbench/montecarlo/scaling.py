@@ -4,7 +4,10 @@ Threads start at once, but wait for each other wherever they hold the interprete
 process has a lock of its own, and takes seconds to start.
 """
 
-from estbench.montecarlo.forecast import Forecast
+from estbench.experiment.prepared import Setup
+from estbench.montecarlo import batch, executors
+from estbench.montecarlo.forecast import Forecast, forecast
+from estbench.montecarlo.pool import Pool
 
 START = 2.0
 """CPU seconds in which a spawned process has imported what it needs."""
@@ -12,18 +15,47 @@ SURE = 1.05
 """How many times the processes must be faster; the forecast is no better."""
 
 
+def pool(
+    kind: str,
+    prepared: Setup,
+    runs: int,
+    size: int,
+    keep: str,
+    workers: int | None,
+    address: str | None,
+) -> tuple[Pool, Forecast | None]:
+    """The pool of a kind, where `auto` is decided by a forecast, and that forecast.
+
+    Args:
+        kind: one of `executors.KINDS`.
+        prepared: the experiment.
+        runs: how many are to be computed.
+        size: runs of one batch.
+        keep: what is stored of each.
+        workers: count; default as many as fit the machine.
+        address: of the dask scheduler.
+    """
+    held = batch.held_bytes(prepared, keep, size)
+    found = None
+    if kind == "auto":
+        count = workers or executors.fitting("threads", held)
+        found = forecast(prepared, runs, size, keep, count)
+        kind = choose(found, count, executors.cpu_count())
+    return executors.pool(kind, workers or executors.fitting(kind, held), address), found
+
+
 def choose(found: Forecast, workers: int, cpus: int) -> str:
     """What `auto` means: `threads`, or `both`, this process and `workers - 1` spawned ones.
 
     Args:
-        found: time of all batches if `workers` shared it evenly, and share under the lock.
+        found: time of all batches if the cores shared it evenly, and share under the lock.
         workers: that compute at once.
         cpus: which they share.
     """
     if workers < 2 or found.locked is None:
         return "threads"
     cores = min(workers, cpus)
-    work = found.seconds * workers
+    work = found.seconds * cores
     apart = (work + (workers - 1) * START) / cores
     threads = work / min(cores, thread_speed(found.locked, workers))
     return "both" if SURE * apart < threads else "threads"

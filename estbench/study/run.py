@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from estbench.errors import Interrupted, StudyError
-from estbench.montecarlo import batch, executors, forecast, scaling
+from estbench.montecarlo import batch, executors, scaling
 from estbench.montecarlo.dispatch import Progress, check_folder, check_shard
 from estbench.store.template import lengths
 from estbench.study import compute as computing
@@ -66,14 +66,8 @@ def run(
         )
     level = "summary"
     size = batch_size or batch.default_batch_size(first, level)
-    kind = executor
-    held = batch.held_bytes(first, level, size)
-    if kind == "auto":
-        count = workers or executors.fitting("threads", held)
-        total = study.scenario.simulation.runs * len(study.variants)
-        found = forecast.forecast(first, total, size, level, count)
-        kind = scaling.choose(found, count, executors.cpu_count())
-    using = executors.pool(kind, workers or executors.fitting(kind, held), address)
+    total = study.scenario.simulation.runs * len(study.variants)
+    using, _ = scaling.pool(executor, first, total, size, level, workers, address)
     pieces: dict[Piece, Outcomes] = {}
     kept = {d: common[d] for d in sorted(needed)}  # the same file in each process
     store = None

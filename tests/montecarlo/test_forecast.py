@@ -56,6 +56,14 @@ def test_a_batch_is_not_measured_for_a_robot_whose_single_step_is_slow(monkeypat
     assert sum(asked) == 10
 
 
+def test_workers_beyond_the_cpus_share_them(monkeypatch):
+    made = prepared("quadrotor", "ekf")
+    monkeypatch.setattr(forecast, "_step", lambda made, rows: np.array([5e-5, 5e-5]) * rows)
+    monkeypatch.setattr(forecast.executors, "cpu_count", lambda: 2)
+    two, eight = (forecast.forecast(made, 100_000, 12, "summary", n) for n in (2, 8))
+    assert eight.seconds == two.seconds == 100_000 * len(made.instants) * two.step / 2
+
+
 def test_a_sensor_of_thousands_of_values_is_named_only_where_it_is_in_use(tmp_path):
     path = tmp_path / "grid.xml"
     path.write_text(GRID)
