@@ -138,8 +138,7 @@ def row(name: str) -> str:
 def main(patterns: list[str]) -> None:
     """Print the table."""
     warnings.filterwarnings("ignore")
-    for name in ("estbench", "absl"):  # dm_control logs MuJoCo's warnings of the filter's points
-        logging.getLogger(name).setLevel(logging.ERROR)
+    logging.getLogger("estbench").setLevel(logging.ERROR)
     for library, names in MADE.items():
         names = [n for n in names if not patterns or any(fnmatch.fnmatch(n, p) for p in patterns)]
         if not names:
