@@ -81,11 +81,13 @@ def dynamax(kind: str, y: Any) -> Callable[[], Any]:
         lambda x: jnp.array([x[0] + DT * x[1], x[1] - 9.81 * DT * jnp.sin(x[0])]), Q,
         lambda x: jnp.sin(x[:1]), R,
     )  # fmt: skip
-    run = peer.extended_kalman_filter
-    more = [] if kind == "ekf" else [peer.UKFHyperParams()]
-    if more:
-        run = peer.unscented_kalman_filter
-    jitted = jax.jit(jax.vmap(lambda one: run(parameters, one, *more).filtered_means))
+
+    def run(y: Any) -> Any:
+        if kind == "ekf":
+            return peer.extended_kalman_filter(parameters, y).filtered_means
+        return peer.unscented_kalman_filter(parameters, y, peer.UKFHyperParams()).filtered_means
+
+    jitted = jax.jit(jax.vmap(run))
     given = jnp.array(np.swapaxes(y, 0, 1))
     return lambda: jitted(given).block_until_ready()
 
