@@ -9,6 +9,7 @@ from scipy.integrate import RK45
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Gaussian
 from estbench.estimators.ekf import EKF
+from estbench.estimators.linear import predicted_cov
 from estbench.estimators.settings import in_range, one_of, whole
 from estbench.estimators.update import mark_failed
 from estbench.models.continuous import ContinuousModel, integrate_moments, moment_rates
@@ -67,7 +68,7 @@ class ContinuousDiscreteEKF(EKF):
             mean, Phi, Q = integrate_moments(self.model, belief.mean, u, t, dt, self.substeps)
         else:
             mean, Phi, Q = self._adaptive(belief.mean, u, t, dt)
-        cov = symmetrize(Phi @ belief.cov @ Phi.mT + Q)
+        cov = predicted_cov(Phi, belief.cov, Q)
         return mark_failed(belief.moved(mean, cov))
 
     def _adaptive(self, x: Array, u: Array, t: float, dt: float) -> tuple[Array, Array, Array]:

@@ -14,7 +14,7 @@ from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators.base_state import BaseState
 from estbench.estimators.beliefs import Gaussian, check_prior
 from estbench.estimators.foot_readings import FootReadings, joint_filter, joint_step
-from estbench.estimators.linear import joseph
+from estbench.estimators.linear import joseph, predicted_cov
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range
 from estbench.estimators.standing_feet import rolling, slipping
@@ -169,7 +169,7 @@ class ContactAided:
         out[:, 7:10] += m[:, 4:7] * dt + 0.5 * push * dt**2
         out[:, 10:k] += belief.rolling.reshape(len(m), -1) * dt
         F = self._transition(m, out, rate, force, dt)
-        cov = symmetrize(F @ belief.cov @ F.mT + self._noise(belief, out, F, u, t, dt))
+        cov = predicted_cov(F, belief.cov, self._noise(belief, out, F, u, t, dt))
         joints, joint_cov = joint_step(belief.joints, belief.joint_cov, self.joint_acceleration, dt)
         ahead = replace(
             belief, mean=out, cov=cov, joints=joints, joint_cov=joint_cov, age=belief.age + dt

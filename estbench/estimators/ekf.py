@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
-from estbench.estimators.linear import FORMS, Form, linear_update
+from estbench.estimators.linear import FORMS, Form, linear_update, predicted_cov
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import has_model, one_of
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces import fused
-from estbench.spaces.linalg import symmetrize
 
 
 @dataclass(frozen=True)
@@ -37,10 +35,7 @@ class EKF(GaussianEstimator):
         """x̂⁻ = f(x̂⁺, u), P⁻ = Φ P⁺ Φᵀ + Q (Bishop, eq. 11)."""
         mean, F = self.model.transition_jacobian(belief.mean, u, t, dt)
         Q = self.model.process_noise(belief.mean, u, t, dt)
-        cov = fused.predicted(F, belief.cov, Q)
-        if cov is None:
-            cov = symmetrize(F @ belief.cov @ F.mT + Q)
-        return mark_failed(belief.moved(mean, cov))
+        return mark_failed(belief.moved(mean, predicted_cov(F, belief.cov, Q)))
 
     def update(
         self,

@@ -8,13 +8,12 @@ import numpy as np
 
 from estbench.errors import EstimatorError
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
-from estbench.estimators.linear import linear_update
+from estbench.estimators.linear import linear_update, predicted_cov
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import has_model
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.linalg import symmetrize
 from estbench.spaces.manifold import Manifold
 
 
@@ -81,7 +80,7 @@ class KF(GaussianEstimator):
             model.space, model.space, belief.mean, point, image, belief.jacobians[key]
         )
         Q = model.process_noise(point, u, t, dt)
-        cov = symmetrize(F @ belief.cov @ F.mT + Q)
+        cov = predicted_cov(F, belief.cov, Q)
         return cast(FixedBelief, mark_failed(belief.moved(mean, cov)))
 
     def update(

@@ -1,4 +1,4 @@
-"""The update of the linear filters: gain by Cholesky, the covariance in one of three forms."""
+"""What the linear filters share: P⁻, and the update with P⁺ in one of three forms."""
 
 from typing import Literal, TypeVar, cast
 
@@ -15,6 +15,20 @@ from estbench.spaces.manifold import Manifold
 Belief = TypeVar("Belief", bound=Gaussian)
 Form = Literal["joseph", "simplified", "symmetric"]
 FORMS = ("joseph", "simplified", "symmetric")
+
+
+def predicted_cov(
+    F: Float[Array, "run n n"], P: Float[Array, "run n n"], Q: Float[Array, "... n n"]
+) -> Float[Array, "run n n"]:
+    """P⁻ = F P⁺ Fᵀ + Q (Bishop, eq. 11), symmetric.
+
+    Args:
+        F: transition Jacobian.
+        P: posterior covariance P⁺.
+        Q: process noise covariance; one, or one per run.
+    """
+    loop = fused.predicted(F, P, Q)
+    return symmetrize(F @ P @ F.mT + Q) if loop is None else loop
 
 
 def linear_update(

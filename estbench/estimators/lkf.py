@@ -7,13 +7,12 @@ import numpy as np
 
 from estbench.estimators.beliefs import Gaussian, GaussianEstimator
 from estbench.estimators.kf import tangent_map
-from estbench.estimators.linear import linear_update
+from estbench.estimators.linear import linear_update, predicted_cov
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import in_range
 from estbench.estimators.update import mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Float, Mask
-from estbench.spaces.linalg import symmetrize
 from estbench.spaces.semidefinite import range_form
 
 
@@ -80,7 +79,7 @@ class LKF(GaussianEstimator):
         nominal, slope = model.transition_jacobian(belief.nominal, u, t, dt)
         mean, F = tangent_map(model.space, model.space, belief.mean, belief.nominal, nominal, slope)
         Q = model.process_noise(belief.nominal, u, t, dt)
-        cov = symmetrize(F @ belief.cov @ F.mT + Q)
+        cov = predicted_cov(F, belief.cov, Q)
         return cast(
             NominalBelief, mark_failed(replace(belief, mean=mean, cov=cov, nominal=nominal))
         )
