@@ -39,6 +39,8 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         width, height: of the picture, pixels.
         camera: name or number of a camera; default the model's first.
         ghost: whether the estimate is drawn beside the truth.
+        nthread: threads of the filter's physics, on which no result depends; default as many of
+            the cores as make it faster, which is timed while it runs.
 
     Raises:
         EstbenchError: a setting is wrong; the message names the remedy.
@@ -59,10 +61,11 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
         height: int = 480,
         camera: str | int | None = None,
         ghost: bool = True,
+        nthread: int | None = None,
     ):
         check_switch("ghost", ghost)
         prepared = prepare(scenario, estimator, sensors, overrides)
-        self.world = World(prepared, 1, estimator is not None, look=observe == "raw")
+        self.world = World(prepared, 1, estimator is not None, nthread, look=observe == "raw")
         self._actions = Actions(prepared.plant.model, normalize_actions)
         self.action_space = self._actions.space
         self._observe = self.world.features(observe)

@@ -61,7 +61,7 @@ class Watch:
         follow: bool,
         frame_skip: int,
         filtered: bool = True,
-        nthread: int = 1,
+        nthread: int | None = 1,
     ):
         name, self.frame_skip = type(member.env.unwrapped).__name__, frame_skip
         adopted = adopt(member.model, sensors, frame_skip)

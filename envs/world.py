@@ -66,7 +66,7 @@ class World:
         prepared: the resolved scenario; its first estimator is used.
         rows: how many robots.
         filtered: whether there is a filter at all.
-        nthread: threads of the physics.
+        nthread: threads of the physics; None for as many as make it faster.
         look: whether raw readings are wanted from the start of an episode on.
 
     Attributes:
@@ -81,7 +81,7 @@ class World:
         prepared: setup.Setup,
         rows: int,
         filtered: bool = True,
-        nthread: int = 1,
+        nthread: int | None = 1,
         look: bool = False,
     ):
         self.setup, self.rows = prepared, rows

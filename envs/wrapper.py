@@ -55,6 +55,8 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         data: where MuJoCo's data are, likewise.
         frame_skip: physics steps of a step, for an environment that does not say it. It is needed
             for sensors with a rate or a latency.
+        nthread: threads of the filter's physics, on which no result depends; default as many of
+            the cores as make it faster, which is timed while it runs.
 
     Raises:
         EstbenchError: a setting is wrong; the message names the remedy.
@@ -72,6 +74,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         model: Given = "follow",
         data: Given = None,
         frame_skip: int | None = None,
+        nthread: int | None = None,
     ):
         RecordConstructorArgs.__init__(
             self,
@@ -84,6 +87,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
             model=model,
             data=data,
             frame_skip=frame_skip,
+            nthread=nthread,
         )
         gym.Wrapper.__init__(self, env)
         place = Place(env, model, data)
@@ -91,7 +95,7 @@ class EstimatedObservation(gym.Wrapper, RecordConstructorArgs):
         observe, self._said = chosen(observe, env)
         self._watch = Watch(
             self._member, 1, estimator, sensors, process_noise, initial_std, model_set,
-            model != "nominal", place.frame_skip(frame_skip), filtered=observe != "raw",
+            model != "nominal", place.frame_skip(frame_skip), observe != "raw", nthread,
         )  # fmt: skip
         for line in self._said:
             _log.warning("%s: %s", type(env.unwrapped).__name__, line)

@@ -97,14 +97,14 @@ class Setup:
 
     def model(
         self,
-        nthread: int = 1,
+        nthread: int | None = 1,
         robot: mujoco.MjModel | None = None,
         believed: Believed | None = None,
     ) -> MujocoModel:
         """A new filter model: one per thread, or of another `robot` with the same state.
 
         Args:
-            nthread: threads of its backend.
+            nthread: threads of its backend; see `robots.backend.create`.
             robot: in place of that of `believed`.
             believed: default that of the scenario's `[filter]`.
         """
@@ -124,7 +124,7 @@ class Setup:
         """Channel -> the manifold of its readings, in the measurement's order."""
         return {c.name: c.space for c in self.channels}
 
-    def estimator(self, label: str, nthread: int = 1) -> Estimator:
+    def estimator(self, label: str, nthread: int | None = 1) -> Estimator:
         """A new estimator of that label on a new model, with the start of the scenario."""
         model = self._with_noise(self.model(nthread, believed=self.believed[label]))
         start = self.start(label)
@@ -265,7 +265,7 @@ class Setup:
         self,
         rows: int,
         instants: Sequence[Instant] | None = None,
-        nthread: int = 1,
+        nthread: int | None = 1,
         look: bool = False,
         timed: bool = False,
     ) -> Simulator:

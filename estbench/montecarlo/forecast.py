@@ -10,7 +10,7 @@ from estbench.errors import EstbenchError
 from estbench.experiment.prepared import Setup
 from estbench.experiment.size import free_memory
 from estbench.montecarlo import batch, executors
-from estbench.robots.batch import unlocked
+from estbench.robots import unlocked
 from estbench.shapes import Array
 
 LONG = 60.0
@@ -149,11 +149,11 @@ def _step(prepared: Setup, rows: int) -> Array:
 def _seconds(prepared: Setup, rows: int, instants: int) -> Array:
     """CPU time of the first instants of some runs, under the interpreter's lock and without it."""
     short = replace(prepared, instants=prepared.instants[:instants])
-    began, without = time.process_time(), unlocked()
-    for _ in batch.traced(short, range(rows), bounded=bounds.wanted(prepared)):
-        pass
-    without = unlocked() - without
-    return np.array([time.process_time() - began - without, without])
+    began = time.process_time()
+    with unlocked.counted() as without:
+        for _ in batch.traced(short, range(rows), bounded=bounds.wanted(prepared)):
+            pass
+    return np.array([time.process_time() - began - without.seconds, without.seconds])
 
 
 def _factorization(m: int) -> float:

@@ -133,11 +133,12 @@ class Backend(Protocol):
         ...
 
 
-def create(model: mujoco.MjModel, nthread: int = 1) -> Backend:
+def create(model: mujoco.MjModel, nthread: int | None = 1) -> Backend:
     """A backend for a model.
 
     Args:
         model: compiled by `mjcf.compile_model`, or with the flags of `flags.set_flags`.
-        nthread: number of threads that share the rows of a call.
+        nthread: number of threads that share the rows of a call; None for as many of the cores as
+            make it faster (see `sharing`).
     """
     return BatchBackend(model, nthread)

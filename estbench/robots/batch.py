@@ -6,7 +6,6 @@ large, an engine error) is NaN in the result; MuJoCo itself would reset it witho
 
 import math
 import re
-import threading
 import time
 from collections.abc import Sequence
 from typing import Any, get_args
@@ -17,26 +16,12 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from estbench.errors import ScenarioError
-from estbench.robots import flags, given, library
+from estbench.robots import flags, given, library, sharing, unlocked
 from estbench.shapes import Array, Float, Int, Mask
 from estbench.spaces.linalg import surely_finite
 
 _NO_MEMORY = re.compile("unknown exception|bad_alloc|allocate", re.IGNORECASE)
 _BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
-
-
-class _Unlocked(threading.local):
-    """CPU time of one thread inside `Batch`, which holds no lock of the interpreter."""
-
-    seconds = 0.0
-
-
-_unlocked = _Unlocked()
-
-
-def unlocked() -> float:
-    """CPU seconds that this thread has computed without the interpreter's lock, in `Batch`."""
-    return _unlocked.seconds
 
 
 def _made(model: mujoco.MjModel, count: int, nthread: int) -> Batch:
@@ -54,20 +39,31 @@ def _made(model: mujoco.MjModel, count: int, nthread: int) -> Batch:
         raise MemoryError(f"MuJoCo finds none for {count} simulations") from None
 
 
+def _vary(batch: Batch, field: str, index: int | slice, values: Array) -> None:
+    """Give each row its own value of a model parameter."""
+    batch.expand(field)[:, index] = values
+    batch.set_const()
+
+
 class BatchBackend:
     """The `backend.Backend` on MuJoCo's own batch; one `Batch` is kept for each number of rows.
 
     Args:
         model: with the flags of `flags.set_flags`.
-        nthread: number of threads of a batch; the results do not depend on it.
+        nthread: number of threads of a batch, on which the results do not depend. None: as many of
+            the cores as make a call faster (see `sharing`), for a robot that has them for itself.
 
     Raises:
         ScenarioError: the model has a feature that a batch does not support.
     """
 
-    def __init__(self, model: mujoco.MjModel, nthread: int = 1):
+    def __init__(self, model: mujoco.MjModel, nthread: int | None = 1):
         self.model = model
         self.nthread = nthread
+        cores = sharing.free_cores() if nthread is None else 1
+        self._threads = sharing.Threads(cores) if cores > 1 else None
+        if self._threads is not None or (nthread or 1) > 1:
+            sharing.tell_of_forks(self)
         self.nx = model.nq + model.nv + model.na
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
         self._batches: dict[tuple[int, flags.Use], Batch] = {}
@@ -105,16 +101,29 @@ class BatchBackend:
 
     def batch(self, count: int, use: flags.Use = "step") -> Batch:
         """The batch of `count` rows for a use; its applied forces are zero."""
-        if (count, use) not in self._batches:
-            if use not in self._models:
-                self._models[use] = flags.reduced(self.model, use)
-            batch = _made(self._models[use], count, self.nthread)
-            if self.model.nmocap:
-                batch.state[:, self._inputs] = self._at_rest
-            if use != "step":
-                batch.bind("sensordata")
-            self._batches[count, use] = batch
-        return self._batches[count, use]
+        key = count, use
+        nthread = (self.nthread or 1) if self._threads is None else self._threads.of(key)
+        batch = self._batches.get(key)
+        if batch is None or (self._threads is not None and batch.nthread != nthread):
+            batch = self._batches[key] = self._new(count, use, nthread)
+        return batch
+
+    def _new(self, count: int, use: flags.Use, nthread: int) -> Batch:
+        """A batch of the first model, with what `vary` was given."""
+        if use not in self._models:
+            self._models[use] = flags.reduced(self.model, use)
+        batch = _made(self._models[use], count, nthread)
+        self._numbers.pop((count, use), None)
+        if use == "step":
+            self._paced.pop(count, None)
+        if self.model.nmocap:
+            batch.state[:, self._inputs] = self._at_rest
+        if use != "step":
+            batch.bind("sensordata")
+        for (rows, field, _), (index, values) in self._varied.items():
+            if rows == count:
+                _vary(batch, field, index, values)
+        return batch
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy is made of: it has batches of its own, which remember nothing."""
@@ -129,6 +138,12 @@ class BatchBackend:
             self.vary(count, field, index, values)
         self._others = state["others"]
 
+    def forked(self) -> None:
+        """See `sharing.Threaded`: from now on one thread."""
+        for batch in self._batches.values():
+            sharing.never_release(batch)
+        self._batches, self._threads, self.nthread = {}, None, 1
+
     def close(self) -> None:
         """Restore the settings of the MuJoCo library, unless another backend is open."""
         self._settings()
@@ -141,10 +156,9 @@ class BatchBackend:
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
             self._paced.clear()
         self._varied[count, field, repr(index)] = index, np.array(values)
-        for use in self._models:
-            batch = self.batch(count, use)
-            batch.expand(field)[:, index] = values
-            batch.set_const()
+        for (rows, _), batch in self._batches.items():
+            if rows == count:
+                _vary(batch, field, index, values)
 
     def follow(self, number: int, model: mujoco.MjModel | None) -> None:
         """See `Backend.follow`."""
@@ -170,7 +184,7 @@ class BatchBackend:
             self._pace(batch, timestep or self.model.opt.timestep)
         if force is not None:
             rows[..., self._force] += force
-        bad = self._run(batch, bad, nstep, 0)
+        bad = self._run(batch, "step", bad, nstep, 0)
         out = rows[..., self._x].copy()
         if force is not None:
             rows[..., self._force] = 0.0
@@ -189,10 +203,11 @@ class BatchBackend:
     ) -> Float[Array, "*lead m"]:
         """See `Backend.read`."""
         slow = stage <= int(mujoco.mjtStage.mjSTAGE_VEL)
-        batch, rows, bad = self._load(x, u, t, "velocity" if slow else "acceleration")
+        use: flags.Use = "velocity" if slow else "acceleration"
+        batch, rows, bad = self._load(x, u, t, use)
         if force is not None:
             rows[..., self._force] += force
-        bad = self._run(batch, bad, 0, stage)
+        bad = self._run(batch, use, bad, 0, stage)
         out = batch.bind("sensordata")[:, columns]
         if force is not None:
             rows[..., self._force] = 0.0
@@ -212,7 +227,7 @@ class BatchBackend:
         derived = [batch.bind(name) for name in ("qacc", "act_dot")[: 1 + bool(self.model.na)]]
         if force is not None:
             rows[..., self._force] += force
-        bad = self._run(batch, bad, 0, int(mujoco.mjtStage.mjSTAGE_ACC))
+        bad = self._run(batch, "step", bad, 0, int(mujoco.mjtStage.mjSTAGE_ACC))
         velocity = batch.state[:, self._x][:, self.model.nq : self.model.nq + self.model.nv]
         out = np.concatenate([velocity, *derived], axis=-1)
         if force is not None:
@@ -227,7 +242,7 @@ class BatchBackend:
         """See `Backend.frames`."""
         batch, _, bad = self._load(x, np.zeros((len(x), self.model.nu)), 0.0, "velocity")
         views = [batch.bind(name) for name in fields]
-        bad = self._run(batch, bad, 0, int(mujoco.mjtStage.mjSTAGE_POS))
+        bad = self._run(batch, "velocity", bad, 0, int(mujoco.mjtStage.mjSTAGE_POS))
         out = tuple(view.copy() for view in views)
         for values in out if bad is not None else ():
             values[bad] = np.nan
@@ -295,10 +310,12 @@ class BatchBackend:
             self._reduced[number, use] = flags.reduced(self._others[number], use)
         return self._reduced[number, use]
 
-    def _run(self, batch: Batch, bad: Mask | None, nstep: int, stage: int) -> Mask | None:
+    def _run(
+        self, batch: Batch, use: flags.Use, bad: Mask | None, nstep: int, stage: int
+    ) -> Mask | None:
         """Step, or compute forward stages; the mask of the rows without a result, or None."""
         failed: Mask | None = None
-        began = time.thread_time()
+        began, counted = time.perf_counter(), unlocked.begin()
         try:
             if nstep:
                 batch.step(nstep=nstep)
@@ -306,7 +323,9 @@ class BatchBackend:
                 batch.forward(stage=stage)
         except SimulationError as error:
             failed = np.isin(np.arange(batch.nsim), error.ids)
-        _unlocked.seconds += time.thread_time() - began
+        unlocked.end(counted)
+        if self._threads is not None:
+            self._threads.took((batch.nsim, use), began, time.perf_counter())
         warned = batch.warning[:, _BAD_STATE, 1]
         if np.count_nonzero(warned):
             blown = warned.any(axis=1)

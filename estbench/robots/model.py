@@ -70,7 +70,7 @@ class MujocoModel:
         channels: the sensors in use.
         disturbance: process noise.
         differences: scheme and step of the Jacobians.
-        nthread: number of threads of the backend.
+        nthread: number of threads of the backend; see `backend.create`.
         u0: nominal control, about which a `KF` linearizes; default zeros.
         engine: the backend; default one of the model.
         split: whether dt may be any length: it is divided into equal physics steps, each at most as
@@ -83,7 +83,7 @@ class MujocoModel:
         channels: Sequence[SensorChannel],
         disturbance: Disturbance,
         differences: Differences | None = None,
-        nthread: int = 1,
+        nthread: int | None = 1,
         u0: Float[Array, " nu"] | None = None,
         engine: backend.Backend | None = None,
         split: bool = False,

@@ -60,7 +60,7 @@ class Simulator:
         draws: Mapping[str, Draw],
         rows: int,
         instants: Sequence[Instant] | None = None,
-        nthread: int = 1,
+        nthread: int | None = 1,
         look: bool = False,
         timed: bool = False,
         seen: bool = False,
