@@ -168,8 +168,10 @@ class Watch:
         n = self.space.n
         error, cov = np.zeros((len(x), n)), np.zeros((len(x), n, n))
         error[rows], cov[rows] = self._prior.errors(x[rows], inputs[rows], white)
-        keys = np.zeros(len(x), np.uint64)
-        keys[rows] = streams.run_keys(seed, runs, "estimator")
+        keys = None
+        if self.filter.random:
+            keys = np.zeros(len(x), np.uint64)
+            keys[rows] = streams.run_keys(seed, runs, "estimator")
         self.filter.start(rows, self.space.plus(x, -error), cov, keys)
 
     def step(self, nstep: int, x: Array, inputs: Array, mask: Mask | None = None) -> None:

@@ -88,7 +88,7 @@ class World:
         scenario, plant = prepared.scenario, prepared.plant
         self.task = Task.build(scenario, plant)
         self._label = next(iter(scenario.estimators))
-        timed = filtered and prepared.depends_on_time(self._label)
+        timed = self._timed = filtered and prepared.depends_on_time(self._label)
         self.simulator = prepared.robots(rows, nthread=nthread, look=look, timed=timed)
         self.filter: LiveFilter | None = None
         if filtered:
@@ -144,8 +144,10 @@ class World:
         self.u[rows] = self.setup.plant.u0
         self.simulator.start(rows, seed, runs, self.u)
         if self.filter is not None:
-            keys = np.zeros(self.rows, np.uint64)
-            keys[rows] = streams.run_keys(seed, runs, f"estimator:{self._label}")
+            keys = None
+            if self.filter.random:
+                keys = np.zeros(self.rows, np.uint64)
+                keys[rows] = streams.run_keys(seed, runs, f"estimator:{self._label}")
             self.filter.start(rows, *self._prior, keys)
 
     def step(self, u: Array, mask: Mask | None = None) -> tuple[Array, Mask, Mask]:
@@ -153,8 +155,9 @@ class World:
 
         Args:
             u: controls, in the actuators' units; truth and filter clamp them to their range.
-            mask: rows that take part; None is all. The others do not move, but their clocks go
-                on, so each must begin anew before it takes part again.
+            mask: rows that take part; None is all. The others must begin anew before they take
+                part again. Unless the time matters they are stepped too and nobody looks: a
+                mask would cost more than they do.
 
         Returns:
             Reward, terminated and truncated `(row,)`; 0 and False outside the mask.
@@ -163,7 +166,7 @@ class World:
         if self.filter is not None:
             self.filter.begin()
         with quiet():
-            for event in self.simulator.clocks.period(mask):
+            for event in self.simulator.clocks.period(mask if self._timed else None):
                 arrived = self.simulator.advance(event, self.u)
                 if self.filter is not None:
                     self.filter.step(event, self.u, arrived)

@@ -92,8 +92,13 @@ def start(
     keys: UInt[Keys, " run"] | None = None,
 ) -> Any:
     """The belief at the start; `keys` are passed on if the `init` of the estimator takes them."""
-    random = keys is not None and "keys" in inspect.signature(estimator.init).parameters
+    random = keys is not None and takes_keys(estimator)
     return estimator.init(mean, cov, **({"keys": keys} if random else {}))
+
+
+def takes_keys(estimator: Estimator) -> bool:
+    """Whether an estimator draws random numbers: its `init` takes a key of each run."""
+    return "keys" in inspect.signature(estimator.init).parameters
 
 
 def restart(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from estbench.errors import EstbenchError, EstimatorError, SelectionError, user_error_location
-from estbench.estimators.beliefs import Fault, start
+from estbench.estimators.beliefs import Fault, start, takes_keys
 from estbench.estimators.protocol import Estimator
 from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
@@ -57,6 +57,7 @@ class LiveFilter:
         by_clock: whether estimator or model depend on the time.
 
     Attributes:
+        random: whether the estimator draws random numbers, so that `start` needs keys.
         estimate: x̂ `(row, nx)`; a row that failed keeps its last finite one.
         cov: P `(row, n, n)`, likewise.
         failed: rows whose filter broke down, until they begin anew `(row,)`.
@@ -76,6 +77,7 @@ class LiveFilter:
         self.estimator, self.space, self.rows = estimator, space, rows
         self._channels, self._delays = dict(channels), delays or Delays()
         self._threshold, self._by_clock = threshold, by_clock
+        self.random = takes_keys(estimator)
         self._label = type(getattr(estimator, "estimator", estimator)).__name__
         self._cohorts: list[_Cohort] = []
         self.estimate = np.zeros((rows, space.nx))
