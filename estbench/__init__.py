@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from estbench.scenario.schema import Scenario
     from estbench.sensitivities.sensitivity import sensitivity
     from estbench.smoothers.estimators import MAP, RTS, URTS
-    from estbench.store.zarr import open_results
+    from estbench.store.reader import open_results
     from estbench.study.store import open_study
     from estbench.study.sweep import sweep
     from estbench.suites.design import design
@@ -140,7 +140,7 @@ _MODULES = {
     "scenario.schema": ("Scenario",),
     "sensitivities.sensitivity": ("sensitivity",),
     "smoothers.estimators": ("MAP", "RTS", "URTS"),
-    "store.zarr": ("open_results",),
+    "store.reader": ("open_results",),
     "study.store": ("open_study",),
     "study.sweep": ("sweep",),
     "suites.design": ("design",),

@@ -4,7 +4,8 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from scipy import integrate, special
+import scipy  # imports its quadrature at the first use, with much else
+from scipy import special
 
 REACH = 60.0
 """Standard deviations of the widest component up to which the density is integrated."""
@@ -43,7 +44,9 @@ def information(
         return slope**2 / density * area * r ** (m - 1) if density > 0 else 0.0
 
     edges = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0, REACH * outlier_scale)
-    found = (integrate.quad(integrand, low, high, limit=200)[0] for low, high in pairwise(edges))
+    found = (
+        scipy.integrate.quad(integrand, low, high, limit=200)[0] for low, high in pairwise(edges)
+    )
     return float(sum(found)) / m
 
 

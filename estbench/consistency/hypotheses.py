@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy import stats
+import scipy  # imports its statistics at their first use; a worker has none
 
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import Interval, positive_mean_bounds, student_quantile
@@ -274,7 +274,7 @@ def _tested(
             half = student_quantile(level, n - 1) * np.sqrt(square / n)
             low, high = mean - half, mean + half
             t, dof = mean / np.sqrt(square / n), n - 1
-        p = 2 * stats.t.sf(np.abs(t), dof)
+        p = 2 * scipy.stats.t.sf(np.abs(t), dof)
     away = np.abs(mean - ideal) if slack == 1 else np.abs(np.log(np.maximum(mean, 1e-300)))
     p = np.where(fixed, np.where(away > max(1e-9, np.log(slack)), 0.0, 1.0), p)
     low, high = np.where(fixed, mean, low), np.where(fixed, mean, high)

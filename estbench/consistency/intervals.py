@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # imports its statistics at their first use; a worker has none
 from numpy.typing import NDArray
-from scipy import stats
 
 from estbench.shapes import Array, Float, Shaped
 
@@ -67,12 +67,12 @@ def student_quantile(
         level: confidence.
         dof: degrees of freedom, not necessarily whole.
     """
-    return stats.t.ppf(0.5 + level / 2, dof)
+    return scipy.stats.t.ppf(0.5 + level / 2, dof)
 
 
 def normal_quantile(level: float) -> float:
     """Two-sided quantile of the standard normal: |z| is below it with probability `level`."""
-    return float(stats.norm.ppf(0.5 + level / 2))
+    return float(scipy.stats.norm.ppf(0.5 + level / 2))
 
 
 def mean_interval(values: Float[Array, " run"], level: float = 0.95) -> Interval:
@@ -162,7 +162,7 @@ def normal_mean_square_bounds(
         count: N.
         level: confidence.
     """
-    low, high = (total / stats.chi2.ppf(0.5 + s * level / 2, count) for s in (1, -1))
+    low, high = (total / scipy.stats.chi2.ppf(0.5 + s * level / 2, count) for s in (1, -1))
     return low, high
 
 
@@ -178,7 +178,7 @@ def wilson(count: int, total: int, level: float = 0.95) -> Interval:
     """
     if not total:
         return NONE
-    found = stats.binomtest(count, total).proportion_ci(level, method="wilson")
+    found = scipy.stats.binomtest(count, total).proportion_ci(level, method="wilson")
     return Interval(count / total, float(found.low), float(found.high))
 
 
@@ -210,7 +210,7 @@ def bootstrap(
         return Interval(value, -np.inf, np.inf)
     if np.ptp(values) == 0:
         return Interval(value, value, value)
-    found = stats.bootstrap(
+    found = scipy.stats.bootstrap(
         (values,), statistic, n_resamples=resamples, confidence_level=level, method="BCa",
         rng=np.random.default_rng(seed), vectorized=True,
     ).confidence_interval  # fmt: skip
@@ -258,7 +258,7 @@ def median(values: Float[Array, " run"], level: float = 0.95) -> Interval:
     if len(values) == 0:
         return NONE
     ordered = np.sort(np.where(np.isfinite(values), values, np.inf))
-    found = stats.quantile_test(ordered, p=0.5).confidence_interval(level)
+    found = scipy.stats.quantile_test(ordered, p=0.5).confidence_interval(level)
     low, high = (-np.inf, np.inf) if np.isnan(found.low) else (found.low, found.high)
     return Interval(float(np.median(ordered)), float(low), float(high))
 

@@ -7,8 +7,8 @@ and m degrees of freedom (Bar-Shalom, Li & Kirubarajan 2001, sec. 5.4; source 00
 from typing import Any
 
 import numpy as np
+import scipy  # imports its statistics at their first use; a worker has none
 from numpy.typing import NDArray
-from scipy import stats
 
 from estbench.shapes import Array, Bool, Float, Mask, Shaped
 
@@ -32,7 +32,7 @@ def chi_square_band(
         Lower and upper bound, floats or `(...)`.
     """
     total = np.asarray(dof) * np.asarray(runs)
-    low, high = (stats.chi2.ppf(0.5 + side * level / 2, total) / runs for side in (-1, 1))
+    low, high = (scipy.stats.chi2.ppf(0.5 + side * level / 2, total) / runs for side in (-1, 1))
     return (low, high) if np.ndim(total) else (float(low), float(high))
 
 

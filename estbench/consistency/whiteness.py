@@ -7,7 +7,7 @@ Those of a filter that does not use all information, as with too small a Q, are 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # imports its statistics at their first use; a worker has none
 
 from estbench.consistency.intervals import Interval, mean_interval, wilson
 from estbench.inference.lags import correlation
@@ -70,11 +70,11 @@ def whiteness(
     if not used.any():
         return None
     dof = (terms[:, 1:] > 0).sum(axis=-1)
-    rejected = stats.chi2.sf(portmanteau(products, terms), dof) < 1 - level
+    rejected = scipy.stats.chi2.sf(portmanteau(products, terms), dof) < 1 - level
     pooled = products.sum(axis=0), terms.sum(axis=0)
     each = correlation(products, terms)[:, 1:]
     return Whiteness(
         correlation=tuple(mean_interval(column, level) for column in each.T),
         rejected=wilson(int(rejected.sum()), len(rejected), level),
-        p=float(stats.chi2.sf(portmanteau(*pooled), int((pooled[1][1:] > 0).sum()))),
+        p=float(scipy.stats.chi2.sf(portmanteau(*pooled), int((pooled[1][1:] > 0).sum()))),
     )

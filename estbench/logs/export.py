@@ -26,7 +26,7 @@ from estbench.shapes import Array
 from estbench.simulation.sources import Trajectory
 from estbench.store import locks
 from estbench.store.metadata import STORE
-from estbench.store.zarr import open_results
+from estbench.store.reader import open_results
 
 SCENARIO = "scenario.toml"
 

@@ -51,14 +51,16 @@ def default_keep(prepared: setup.Setup, dtype: str = "float64") -> str:
 def default_batch_size(prepared: setup.Setup, keep: str, parts: int = 4) -> int:
     """Runs per batch: what fits the memory, at most 250 (caches), else a part of the runs.
 
-    The memory is `BATCH_BYTES` of traces and `WORKING_BYTES` of an instant.
-
-    It does not depend on the machine, so neither do the results, to the last bit.
+    The memory is `BATCH_BYTES` of traces and `WORKING_BYTES` of an instant. The batches are a
+    multiple of `parts` and nearly equal, so that the cores finish together; 10 runs are not
+    divided. It does not depend on the machine, so neither do the results, to the last bit.
     """
     runs = prepared.scenario.simulation.runs
     most = BATCH_BYTES // run_bytes(prepared, keep)
     most = min(most, WORKING_BYTES // working_bytes(prepared))
-    return int(np.clip(most, 1, min(250, max(10, -(-runs // parts)))))
+    size = int(np.clip(most, 1, min(250, max(10, -(-runs // parts)))))
+    rounds = -(-runs // (size * parts))
+    return max(min(size, 10), -(-runs // (rounds * parts)))
 
 
 def run_bytes(prepared: setup.Setup, keep: str) -> int:

@@ -22,9 +22,11 @@ _SHORT = 1_000_000
 _WIDE = 500
 """Values of one measurement from which the factorization of S dominates."""
 _INSTANTS = 2, 6
+_MORE = 2, 18
 _RUNS = 1, 8
-"""Two counts each, whose difference leaves out what is done once."""
-_PROBE = 0.02
+"""Two counts each, whose difference leaves out what is done once; `_MORE` instants at last, as
+what is done once for a batch takes as long as ten instants."""
+_PROBE = 0.01
 """Seconds of an instant of the last measurement, of as many runs as take that long, or a batch."""
 _SLOW = 0.05
 """Seconds of a step of one run from which a batch of many runs is not measured: what is done once
@@ -121,10 +123,9 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
     if width >= _WIDE:
         step = count * _factorization(width)
         return Forecast(runs * steps * step / workers, step, memory, free)
-    if runs * steps * count * (2 * prepared.space.n + 1) < _SHORT:
+    if evaluations(prepared, runs) < _SHORT:
         return Forecast(0.0, 0.0, memory, free)
     try:
-        _seconds(prepared, _RUNS[0], _INSTANTS[0])  # what is done once in a process
         each = one = _step(prepared, _RUNS[0])
         if one.sum() < _SLOW:
             more = _step(prepared, _RUNS[1])
@@ -132,7 +133,7 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
         parts = np.maximum(one - each, 0.0) / size + each
         rows = int(np.clip(_PROBE / max(parts.sum(), 1e-9), 1, size))
         if rows > _RUNS[1]:  # as in a batch: what a few runs take differs from it
-            parts = _step(prepared, rows) / rows
+            parts = _step(prepared, rows, _MORE) / rows
     except EstbenchError:  # told when the runs are computed
         return Forecast(0.0, 0.0, memory, free)
     step = float(parts.sum())
@@ -140,10 +141,17 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
     return Forecast(runs * steps * step / workers, step, memory, free, locked)
 
 
-def _step(prepared: Setup, rows: int) -> Array:
+def evaluations(prepared: Setup, runs: int) -> int:
+    """Steps of the model that the estimators take with points on both sides of each coordinate."""
+    count = max(1, len(prepared.scenario.estimators))
+    return runs * len(prepared.instants) * count * (2 * prepared.space.n + 1)
+
+
+def _step(prepared: Setup, rows: int, instants: tuple[int, int] = _INSTANTS) -> Array:
     """Seconds of one instant of so many runs, under the interpreter's lock and without it."""
-    few, more = (_seconds(prepared, rows, count) for count in _INSTANTS)
-    return np.maximum(more - few, 0.0) / (_INSTANTS[1] - _INSTANTS[0])
+    first, few, more = (_seconds(prepared, rows, count) for count in (instants[0], *instants))
+    few = np.minimum(first, few)  # the first takes memory; what other threads do is in either
+    return np.maximum(more - few, 0.0) / (instants[1] - instants[0])
 
 
 def _seconds(prepared: Setup, rows: int, instants: int) -> Array:

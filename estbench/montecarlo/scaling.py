@@ -5,14 +5,15 @@ process has a lock of its own, and takes seconds to start.
 """
 
 from estbench.experiment.prepared import Setup
-from estbench.montecarlo import batch, executors
-from estbench.montecarlo.forecast import Forecast, forecast
+from estbench.montecarlo import batch, executors, team
+from estbench.montecarlo.forecast import Forecast, evaluations, forecast
 from estbench.montecarlo.pool import Pool
 
-START = 2.0
-"""CPU seconds in which a spawned process has imported what it needs."""
-SURE = 1.05
-"""How many times the processes must be faster; the forecast is no better."""
+START = 0.8
+"""CPU seconds in which a spawned process has imported what it needs and compiled a model."""
+LONG = 10_000_000
+"""Evaluations of the model from which on processes start while the forecast is made: those of the
+cheapest robot take ten seconds."""
 
 
 def pool(
@@ -39,26 +40,30 @@ def pool(
     found = None
     if kind == "auto":
         count = workers or executors.fitting("threads", held)
+        starts = 0.0 if team.stands(1, count - 1) else (count - 1) * START
+        if count > 1 and evaluations(prepared, runs) >= LONG:
+            team.kept(1, count - 1)
         found = forecast(prepared, runs, size, keep, count)
-        kind = choose(found, count, executors.cpu_count())
+        kind = choose(found, count, executors.cpu_count(), starts)
     return executors.pool(kind, workers or executors.fitting(kind, held), address), found
 
 
-def choose(found: Forecast, workers: int, cpus: int) -> str:
+def choose(found: Forecast, workers: int, cpus: int, starts: float) -> str:
     """What `auto` means: `threads`, or `both`, this process and `workers - 1` spawned ones.
 
     Args:
         found: time of all batches if the cores shared it evenly, and share under the lock.
         workers: that compute at once.
         cpus: which they share.
+        starts: CPU seconds in which the spawned ones start; 0 if they stand from before.
     """
     if workers < 2 or found.locked is None:
         return "threads"
     cores = min(workers, cpus)
     work = found.seconds * cores
-    apart = (work + (workers - 1) * START) / cores
+    apart = (work + starts) / cores
     threads = work / min(cores, thread_speed(found.locked, workers))
-    return "both" if SURE * apart < threads else "threads"
+    return "both" if apart < threads else "threads"
 
 
 def thread_speed(locked: float, threads: int) -> float:

@@ -169,15 +169,22 @@ def _follow(parent: Callable[[], None]) -> None:
 _kept: list[Team] = []
 
 
+def stands(here: int, spawned: int) -> bool:
+    """Whether a team of this size is kept, all of whose code is as it was imported."""
+    now = sources()
+    return any(
+        not team.closed and team.size == (here, spawned) and team.sources.items() <= now.items()
+        for team in _kept
+    )
+
+
 def kept(here: int, spawned: int) -> Team:
     """The team of this process, made anew if another size is wanted or its code has changed."""
-    now = sources()
-    for team in tuple(_kept):
-        if team.closed or team.size != (here, spawned) or not team.sources.items() <= now.items():
+    if not stands(here, spawned):
+        for team in tuple(_kept):
             dismiss(team)
-        team.sources = now
-    if not _kept:
         _kept.append(Team(here, spawned))
+    _kept[0].sources = sources()
     return _kept[0]
 
 

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # imports its sparse matrices at their first use, with much else
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 
 from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.linear import without_absent
@@ -208,7 +207,8 @@ def _factors(system: _System, states: int, n: int, active: NDArray[np.bool_]):
             yield run, None
             continue
         try:
-            yield run, splu(csc_matrix((entries[run], places), shape=(size, size)))
+            matrix = scipy.sparse.csc_matrix((entries[run], places), shape=(size, size))
+            yield run, scipy.sparse.linalg.splu(matrix)
         except RuntimeError:  # exactly singular
             yield run, None
 

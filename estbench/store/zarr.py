@@ -14,7 +14,6 @@ import json
 import re
 import shutil
 import tomllib
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -22,12 +21,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import xarray as xr
 import zarr
 
 from estbench.consistency.fields import Field, Record
 from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
-from estbench.errors import StoreError, given_path
+from estbench.errors import StoreError
 from estbench.experiment.prepared import Setup
 from estbench.scenario.load import changes
 from estbench.store import checksums, extension, locks, metadata, versions
@@ -384,21 +382,3 @@ def _unwritable(folder: Path, error: OSError) -> StoreError:
         if _stands(folder)
         else f"{folder} cannot be written: {error.strerror or error}; choose another --out"
     )
-
-
-def open_results(folder: str | Path) -> xr.DataTree:
-    """Open the store of a results folder: the root, `truth`, and a group per estimator.
-
-    Raises:
-        StoreError: there is no such store, or its metadata or a label is damaged.
-    """
-    path = given_path("folder", folder, StoreError) / STORE
-    if not path.is_dir():
-        raise StoreError(f"{folder} holds no {STORE}; name a folder that `estbench run` wrote")
-    metadata.check(Path(folder))
-    try:
-        with warnings.catch_warnings():  # a store that was never closed opens, only slowly
-            warnings.filterwarnings("ignore", "Failed to open Zarr store", RuntimeWarning)
-            return xr.open_datatree(path, engine="zarr", consolidated=None)
-    except (OSError, ValueError, KeyError, json.JSONDecodeError) as error:
-        raise StoreError(f"{path} cannot be read: {error}") from None

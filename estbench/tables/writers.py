@@ -7,15 +7,17 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from rich.console import Console, RenderableType
 from rich.text import Text
 
 from estbench.tables.columns import Table
 from estbench.tables.names import cell
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def text(tables: Sequence[Table], width: int = 100) -> str:
@@ -103,7 +105,7 @@ def escape(text: str) -> str:
     return "".join(_LATEX.get(c, c) for c in text)
 
 
-def json_of_dataset(found: xr.Dataset) -> str:
+def json_of_dataset(found: "xr.Dataset") -> str:
     """The attributes, coordinates, dimensions and values of a Dataset; null where not finite."""
     data = {name: _plain(v.values) for name, v in found.data_vars.items()}
     coords = {name: np.asarray(v.values).tolist() for name, v in found.coords.items()}

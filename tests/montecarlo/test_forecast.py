@@ -58,7 +58,7 @@ def test_a_batch_is_not_measured_for_a_robot_whose_single_step_is_slow(monkeypat
 
 def test_workers_beyond_the_cpus_share_them(monkeypatch):
     made = prepared("quadrotor", "ekf")
-    monkeypatch.setattr(forecast, "_step", lambda made, rows: np.array([5e-5, 5e-5]) * rows)
+    monkeypatch.setattr(forecast, "_step", lambda made, rows, *_: np.array([5e-5, 5e-5]) * rows)
     monkeypatch.setattr(forecast.executors, "cpu_count", lambda: 2)
     two, eight = (forecast.forecast(made, 100_000, 12, "summary", n) for n in (2, 8))
     assert eight.seconds == two.seconds == 100_000 * len(made.instants) * two.step / 2
@@ -111,7 +111,7 @@ def test_what_does_not_fit_is_said_before_it_starts(monkeypatch):
     )
     assert batch.held_bytes(windowed, "summary", 250) < 0.8 * batch.held_bytes(made, "summary", 250)
     monkeypatch.setattr(forecast, "free_memory", lambda: 2**30)
-    monkeypatch.setattr(forecast, "_step", lambda made, rows: np.array([5e-7, 5e-7]) * rows)
+    monkeypatch.setattr(forecast, "_step", lambda made, rows, *_: np.array([5e-7, 5e-7]) * rows)
     assert "1 GiB are free: it may not fit; --keep summary" in "".join(
         forecast.lines(made, 250, "summary", 2)
     )

@@ -13,16 +13,17 @@ def test_threads_that_queue_for_a_lock():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "locked", "workers", "cpus", "kind"),
+    ("seconds", "locked", "workers", "cpus", "starts", "kind"),
     [
-        (100.0, 0.4, 2, 2, "both"),
-        (2.0, 0.4, 2, 2, "threads"),  # over before a process has started
-        (100.0, 0.02, 2, 2, "threads"),  # nobody waits for the lock
-        (100.0, 0.15, 16, 16, "both"),
-        (10.0, 0.15, 16, 2, "threads"),  # the start of fifteen on two cores
-        (100.0, 0.4, 1, 2, "threads"),
-        (100.0, None, 16, 16, "threads"),  # not measured: it is short
+        (100.0, 0.4, 2, 2, 2.0, "both"),
+        (2.0, 0.4, 2, 2, 2.0, "threads"),  # over before a process has started
+        (2.0, 0.4, 2, 2, 0.0, "both"),  # which stands from before
+        (100.0, 0.02, 2, 2, 2.0, "threads"),  # nobody waits for the lock
+        (100.0, 0.15, 16, 16, 30.0, "both"),
+        (10.0, 0.15, 16, 2, 30.0, "threads"),  # the start of fifteen on two cores
+        (100.0, 0.4, 1, 2, 0.0, "threads"),
+        (100.0, None, 16, 16, 30.0, "threads"),  # not measured: it is short
     ],
 )
-def test_processes_are_taken_where_they_finish_first(seconds, locked, workers, cpus, kind):
-    assert choose(Forecast(seconds, 1e-5, 0, None, locked), workers, cpus) == kind
+def test_processes_are_taken_where_they_finish_first(seconds, locked, workers, cpus, starts, kind):
+    assert choose(Forecast(seconds, 1e-5, 0, None, locked), workers, cpus, starts) == kind
