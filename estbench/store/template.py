@@ -67,8 +67,8 @@ def declare(
     chunk = {**sizes, "run": len(batches[0]), "batch": 1}
     root.attrs.update(
         {
-            **provenance(setup.scenario), "keep": keep, "batch_size": len(batches[0]),
-            "dtype": dtype, **more,
+            **provenance(setup.scenario), "versions": versions.stamped(), "keep": keep,
+            "batch_size": len(batches[0]), "dtype": dtype, **more,
         }
     )  # fmt: skip
     write_labels(root, labels(setup, keep))

@@ -3,16 +3,22 @@
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from importlib.util import find_spec
 from typing import Any
 
 PACKAGES = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
-NUMERICAL = ("estbench", "mujoco", "numpy", "scipy")
+NUMERICAL = ("estbench", "mujoco", "numpy", "scipy", "numba")
 """The packages on which the numbers depend."""
 
 
 def installed() -> dict[str, str]:
     """The installed versions."""
     return {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
+
+
+def stamped() -> dict[str, str]:
+    """The installed versions, and that of numba, which computes small covariances where it is."""
+    return installed() | {"numba": version("numba") if find_spec("numba") else "absent"}
 
 
 def known(attrs: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -298,7 +298,7 @@ class Store:
         """
         try:
             with locks.briefly(self.folder):
-                found, now = versions.known(self._open("r").attrs), versions.installed()
+                found, now = versions.known(self._open("r").attrs), versions.stamped()
                 if writing and now not in found:
                     found.append(now)
                     metadata.change(self.folder, continued=found[1:])

@@ -61,6 +61,15 @@ def test_a_store_of_two_versions_says_so_wherever_it_is_read(tmp_path, installed
     assert again.notices == (note,)
 
 
+def test_a_store_continued_with_the_compiled_loops_says_so(tmp_path, installed, monkeypatch):
+    monkeypatch.setattr(versions, "find_spec", lambda name: None)
+    cut(tmp_path / "x")
+    monkeypatch.setattr(versions, "find_spec", lambda name: True)
+    installed({"numba": "0.62"})
+    (note,) = run(tmp_path / "x", resume=True).notices
+    assert note.startswith("begun with numba absent, continued with 0.62: the numbers may not be")
+
+
 def test_one_version_says_nothing(tmp_path):
     cut(tmp_path / "x")
     results = run(tmp_path / "x", resume=True, say=lambda line: pytest.fail(line))
