@@ -42,6 +42,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "K3_omega0.2": {"type": "rotated_ukf", "rotations": 3, "omega": 0.2},
     "shrunk0.3_omega0": {"type": OMEGA, "shrinkage": 0.3, "omega": 0.0},
     "shrunk0.3_omega0.1": {"type": OMEGA, "shrinkage": 0.3, "omega": 0.1},
+    "concentrated_omega2": {"type": OMEGA, "concentrated": True, "omega": 2.0},
+    "concentrated_omega4": {"type": OMEGA, "concentrated": True, "omega": 4.0},
     "averaged_omega0.2": {"type": OMEGA, "rate": 0.3, "omega": 0.2},
     "averaged_omega0.4": {"type": OMEGA, "rate": 0.3, "omega": 0.4},
     "iplf": {"base": "rotated_ukf"},

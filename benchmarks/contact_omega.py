@@ -1,7 +1,8 @@
 """Other uses of Ω in the prediction of `rotated_ukf`, tried and not taken: docs/contact.md.
 
 One rotation of 2 n points knows Ω, the covariance of the linearization error, with a sampling
-error. Both filters make it smaller at the UKF's cost, so that ω might be smaller.
+error. A shrunk or an averaged Ω has a smaller one, so that ω might be smaller; a concentrated ω Ω
+adds only what few pairs of points know.
 """
 
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from estbench.estimators.rotated_ukf import RotatedBelief, RotatedUKF
+from estbench.estimators.sigma_points import SigmaPoints
 from estbench.estimators.ukf import PREDICTION, failed_factor
 from estbench.estimators.update import mark_failed
 from estbench.shapes import Array, Float, Keys, UInt
@@ -33,10 +35,12 @@ class OmegaUKF(RotatedUKF):
     Attributes:
         shrinkage: λ, in [0, 1] (Ledoit & Wolf, J. Multivariate Analysis 88(2), 2004).
         rate: ρ, in (0, 1]; 1 keeps no past.
+        concentrated: whether ω Ω is multiplied by `concentration`, element by element.
     """
 
     shrinkage: float = 0.0
     rate: float = 1.0
+    concentrated: bool = False
 
     def init(
         self,
@@ -63,7 +67,26 @@ class OmegaUKF(RotatedUKF):
         shrunk = error + self.shrinkage * (error * np.eye(error.shape[-1]) - error)
         past = shrunk if belief.error is None else belief.error
         kept = past + self.rate * (shrunk - past)
+        if self.concentrated:
+            kept = kept * concentration(rule, residual, error)
         cov = symmetrize(cov - error + shrunk + noise + self.omega * kept)
         prior = replace(belief, mean=mean, cov=cov, error=kept)
         prior = cast(AveragedBelief, mark_failed(prior, failed_factor(factor, belief.cov)))
         return cast(AveragedBelief, self.drawn(prior))
+
+
+def concentration(
+    rule: SigmaPoints, residual: Float[Array, "run point n"], error: Float[Array, "run n n"]
+) -> Float[Array, "run n n"]:
+    """√(Vⱼ Vₖ), Vⱼ = Σᵢ qᵢⱼ² / (Σᵢ qᵢⱼ)² with qᵢⱼ what pair i gives to Ωⱼⱼ: 1 where it is one pair.
+
+    1/Vⱼ is the count of pairs that know Ωⱼⱼ, and Vⱼ about the relative variance of its error.
+    """
+    slope = rule.regress(residual, error)[0]
+    q = rule.cov_weights[:, None] * (residual - rule.points @ slope.mT) ** 2
+    centre, plus, minus = np.split(q, [1, 1 + q.shape[1] // 2], axis=1)
+    q = np.concatenate([centre, plus + minus], axis=1)
+    total = q.sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(np.where(total > 0, (q**2).sum(axis=1) / total**2, 0.0))
+    return root[:, :, None] * root[:, None, :]
