@@ -133,4 +133,4 @@ class ScenarioEnv(gym.Env[Array, NDArray[np.float32]]):
 
 def first(info: dict[str, Any]) -> dict[str, Any]:
     """The info of the first row: arrays without the row axis, numbers as Python numbers."""
-    return {k: v[0].item() if v.ndim == 1 else v[0] for k, v in info.items()}
+    return {k: v.item() if v.ndim == 1 else v[0] for k, v in info.items()}
