@@ -39,12 +39,6 @@ def _made(model: mujoco.MjModel, count: int, nthread: int) -> Batch:
         raise MemoryError(f"MuJoCo finds none for {count} simulations") from None
 
 
-def _vary(batch: Batch, field: str, index: int | slice, values: Array) -> None:
-    """Give each row its own value of a model parameter."""
-    batch.expand(field)[:, index] = values
-    batch.set_const()
-
-
 class BatchBackend:
     """The `backend.Backend` on MuJoCo's own batch; one `Batch` is kept for each number of rows.
 
@@ -62,7 +56,7 @@ class BatchBackend:
         self.nthread = nthread
         cores = sharing.free_cores() if nthread is None else 1
         self._threads = sharing.Threads(cores) if cores > 1 else None
-        if self._threads is not None or (nthread or 1) > 1:
+        if nthread != 1:
             sharing.tell_of_forks(self)
         self.nx = model.nq + model.nv + model.na
         self.rest = np.concatenate([model.qpos0, np.zeros(model.nv + model.na)])
@@ -120,10 +114,16 @@ class BatchBackend:
             batch.state[:, self._inputs] = self._at_rest
         if use != "step":
             batch.bind("sensordata")
-        for (rows, field, _), (index, values) in self._varied.items():
-            if rows == count:
-                _vary(batch, field, index, values)
+        for key in self._varied:
+            if key[0] == count:
+                self._differ(batch, key)
         return batch
+
+    def _differ(self, batch: Batch, key: tuple[int, str, str]) -> None:
+        """Give the rows what `vary` was given."""
+        index, values = self._varied[key]
+        batch.expand(key[1])[:, index] = values
+        batch.set_const()
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy is made of: it has batches of its own, which remember nothing."""
@@ -155,10 +155,10 @@ class BatchBackend:
         if not self._varied:  # the parameter may enable a constraint
             self._models, self._batches = dict.fromkeys(get_args(flags.Use), self.model), {}
             self._paced.clear()
-        self._varied[count, field, repr(index)] = index, np.array(values)
-        for (rows, _), batch in self._batches.items():
-            if rows == count:
-                _vary(batch, field, index, values)
+        key = count, field, repr(index)
+        self._varied[key] = index, np.array(values)
+        for batch in (b for (rows, _), b in self._batches.items() if rows == count):
+            self._differ(batch, key)
 
     def follow(self, number: int, model: mujoco.MjModel | None) -> None:
         """See `Backend.follow`."""
