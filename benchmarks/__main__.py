@@ -1,8 +1,8 @@
 """Every speed target in one table: `python -m benchmarks` (half an hour; `--only` for parts).
 
 Ratios are taken within one run, since machines differ and are shared: against the Batch calls that
-a filter makes, against a bare C `mj_step`, against FilterPy. docs/performance.md says how to read
-them.
+a filter makes, against a bare C `mj_step`, against FilterPy and dynamax (`pip install dynamax`;
+left out where it is not installed). docs/performance.md says how to read them.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from benchmarks import peers
+from benchmarks import cores, peers, small
 from benchmarks.envs import best
 from estbench.experiment import setup
 from estbench.montecarlo import executors
@@ -58,7 +58,7 @@ def ant(kind: str, runs: int, steps: int) -> setup.Setup:
 
 
 def against_floor() -> Iterator[Target]:
-    """Wall time over the time inside the Batch calls, 1000 runs, one thread; and two threads."""
+    """Wall time over the time inside the Batch calls, 1000 runs, one thread."""
     for robot, prepare, steps, limit in (
         ("cartpole", peers.prepare, 200, 1.15),
         ("ant", ant, 20, 1.1),
@@ -69,19 +69,47 @@ def against_floor() -> Iterator[Target]:
                 f"{kind} on {robot}: wall / own Batch calls", limit, False, "",
                 partial(peers.over_floor, prepared),
             )  # fmt: skip
+
+
+def all_cores() -> Iterator[Target]:
+    """Ten seconds of one core with `--executor auto` on all, whose processes stand already."""
     for kind in FILTERS:
-        prepared = peers.prepare(kind, 1000, 500)
         yield Target(
-            f"{kind} on cartpole: all cores / one", 1.85, True, "x", partial(speedup, prepared)
-        )
-    yield Target(
-        "ekf on ant: two threads / one", 1.8, True, "x", partial(speedup, ant("ekf", 1000, 10), 2)
-    )
+            f"{kind} on cartpole: all cores / one", 1.85, True, "x",
+            partial(speedup, cores.sized("cartpole", kind, 10.0)),
+        )  # fmt: skip
+    yield Target("ekf on ant: all cores / one", 1.85, True, "x", partial(speedup, ant_of_ten()))
 
 
-def speedup(prepared: setup.Setup, threads: int | None = None) -> float:
-    """Throughput of several threads over that of one."""
-    return peers.ours(prepared, 1) / peers.ours(prepared, threads or executors.cpu_count())
+def ant_of_ten() -> setup.Setup:
+    """The ant's EKF for ten seconds of one core."""
+    return cores.sized("examples/gymnasium/ant.toml", "ekf", 10.0)
+
+
+def speedup(prepared: setup.Setup) -> float:
+    """Throughput of all cores over that of one."""
+    return cores.speedups(prepared, executors.cpu_count())[2]
+
+
+def functions() -> Iterator[Target]:
+    """Two states without MuJoCo: the compiled loops where they are installed, over dynamax."""
+    for kind in FILTERS:
+        passes = small.ways(kind)
+        if "dynamax" not in passes:
+            print("dynamax is not installed: pip install dynamax")
+            return
+        ours, theirs = passes.get("fast", passes["numpy"]), passes["dynamax"]
+        yield Target(
+            f"{kind} of functions: ours / dynamax", 1.0, False, "",
+            partial(over, ours, theirs),
+        )  # fmt: skip
+
+
+def over(ours: Callable[[], object], theirs: Callable[[], object], rounds: int = 5) -> float:
+    """CPU time of one over that of the other, the least of some passes in turn."""
+    taken = [(small.cost(ours), small.cost(theirs)) for _ in range(rounds)]
+    mine, other = map(min, zip(*taken))
+    return mine / other
 
 
 def against_c() -> Iterator[Target]:
@@ -190,8 +218,8 @@ def scaling() -> Iterator[Target]:
 
 
 GROUPS: dict[str, Callable[[], Iterator[Target]]] = {
-    "floor": against_floor, "c": against_c, "peers": against_peers, "one": one_run,
-    "scaling": scaling,
+    "floor": against_floor, "cores": all_cores, "c": against_c, "peers": against_peers,
+    "functions": functions, "one": one_run, "scaling": scaling,
 }  # fmt: skip
 
 

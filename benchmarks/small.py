@@ -102,26 +102,37 @@ def without_loops(call: Callable[[], Any]) -> Callable[[], Any]:
     return plain
 
 
+def ways(name: str) -> dict[str, Callable[[], Any]]:
+    """Way -> a pass of the filter, for each way that is installed; all are compiled."""
+    y, kind = readings(), {"ekf": EKF, "ukf": UKF}[name]
+    found = {"numpy": without_loops(ours(kind, y))}
+    if fused.compiled():
+        found["fast"] = ours(kind, y)
+    if find_spec("dynamax"):
+        found["dynamax"] = dynamax(name, y)
+    for call in found.values():
+        call()
+    return found
+
+
+def cost(call: Callable[[], Any]) -> float:
+    """CPU µs per run and step of a pass."""
+    began = time.process_time()
+    call()
+    return 1e6 * (time.process_time() - began) / (RUNS * STEPS)
+
+
 def main() -> None:
     """Print a line for each filter and way."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeat", type=int, default=15)
     args = parser.parse_args()
-    y = readings()
-    for name, kind in (("ekf", EKF), ("ukf", UKF)):
-        ways = {"numpy": without_loops(ours(kind, y))}
-        if fused.compiled():
-            ways["fast"] = ours(kind, y)
-        if find_spec("dynamax"):
-            ways["dynamax"] = dynamax(name, y)
-        taken: dict[str, list[float]] = {way: [] for way in ways}
-        for call in ways.values():
-            call()  # compiled, imported
+    for name in ("ekf", "ukf"):
+        passes = ways(name)
+        taken: dict[str, list[float]] = {way: [] for way in passes}
         for _ in range(args.repeat):
-            for way, call in ways.items():
-                began = time.process_time()
-                call()
-                taken[way].append(1e6 * (time.process_time() - began) / (RUNS * STEPS))
+            for way, call in passes.items():
+                taken[way].append(cost(call))
         for way, costs in taken.items():
             print(
                 f"{name} {way:8} {min(costs):6.3f} {statistics.median(costs):6.3f} µs", flush=True

@@ -2,13 +2,16 @@
 
 import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
+from functools import cache
+from importlib import metadata
 from importlib.util import find_spec
 from typing import Any
 
 PACKAGES = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
 NUMERICAL = ("estbench", "mujoco", "numpy", "scipy", "numba")
 """The packages on which the numbers depend."""
+
+version = cache(metadata.version)  # a package's metadata take 20 ms to read
 
 
 def installed() -> dict[str, str]:

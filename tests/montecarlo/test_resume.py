@@ -1,6 +1,7 @@
 """Nothing finished is ever lost: resume, shards, corruption, dead workers, a cluster."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -30,7 +31,7 @@ def begin(tmp_path, *extra):
     """A run in a process of its own."""
     command = [
         sys.executable, "-m", "estbench", "run", "pendulum", "-e", "ekf", "--runs", "400",
-        "--duration", "2", "--out", str(tmp_path / "x"), "--workers", "1", *extra,
+        "--duration", "1", "--out", str(tmp_path / "x"), "--workers", "1", *extra,
     ]  # fmt: skip
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
@@ -53,7 +54,7 @@ def test_kill_9_and_resume_gives_the_uninterrupted_store(tmp_path):
     done = finished(tmp_path / "x")
     assert done > 0
     computed = []
-    options = {"estimators": ["ekf"], "runs": 400, "duration": 2.0}
+    options = {"estimators": ["ekf"], "runs": 400, "duration": 1.0}
     results = estbench.run(
         "pendulum", **options, out=tmp_path / "x", resume=True,
         progress=lambda n, total: computed.append((n, total)),
@@ -94,7 +95,7 @@ def test_a_store_of_another_scenario_is_refused(whole, options):
     "name", ["ekf/anees/c/3", "ekf/error/c/3/0/0", "truth/x/c/3/0/0", "done/c/3"]
 )
 def test_a_corrupted_chunk_is_computed_again_and_said(whole, tmp_path, name):
-    run(tmp_path / "x")
+    shutil.copytree(whole.folder, tmp_path / "x")
     chunk = tmp_path / "x" / STORE / name
     content = bytearray(chunk.read_bytes())
     content[1] ^= 0xFF
@@ -109,8 +110,6 @@ def test_a_corrupted_chunk_is_computed_again_and_said(whole, tmp_path, name):
 
 def test_a_store_deleted_while_running_is_said(tmp_path):
     def delete(done, total):
-        import shutil
-
         shutil.rmtree(tmp_path / "x" / STORE, ignore_errors=True)
 
     with pytest.raises(StoreError, match="cannot be written") as caught:
