@@ -6,17 +6,18 @@ left out where it is not installed). docs/performance.md says how to read them.
 """
 
 import argparse
+import logging
 import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
+import gymnasium as gym
 import mujoco
 import numpy as np
 
-from benchmarks import cores, peers, small
-from benchmarks.envs import best
+from benchmarks import cores, envs, peers, small
 from estbench.experiment import setup
 from estbench.montecarlo import executors
 from estbench.montecarlo import run as experiment
@@ -191,9 +192,40 @@ def one_run() -> Iterator[Target]:
 
     def measure() -> float:
         with engine():
-            return best(step, 2000)
+            return envs.best(step, 2000)
 
     yield Target("ekf on cartpole: one run's update", 100, False, "µs", measure)
+
+
+def environments() -> Iterator[Target]:
+    """The step of an environment with an EKF."""
+    pendulum = "InvertedPendulum-v5"
+    bare = envs.stepping(gym.make(pendulum))
+    seen = envs.stepping(envs.wrapped(pendulum, "ekf", observe="env"))
+    yield Target(
+        f"ekf around {pendulum}: added", 130, False, "µs",
+        lambda: envs.best(seen) - envs.best(bare),
+    )  # fmt: skip
+    native = envs.stepping(gym.make("estbench/CartPole-v0"))
+    yield Target("ekf in the native cart-pole: a step", 80, False, "µs", partial(envs.best, native))
+    rows = envs.cartpoles(executors.cpu_count())
+    yield Target(
+        f"ekf in {envs.ROWS} native cart-poles: steps/s", 200_000, True, "",
+        lambda: envs.ROWS / statistics.mean(envs.step_times(rows)),
+    )  # fmt: skip
+    for kind in FILTERS:
+        one, shared = (
+            envs.stepping(envs.wrapped("HalfCheetah-v5", kind, nthread=n), 1.0) for n in (1, None)
+        )
+        yield Target(
+            f"{kind} around HalfCheetah-v5: all cores / one", 1.6, True, "x",
+            partial(faster, shared, one),
+        )  # fmt: skip
+
+
+def faster(step: Callable[[], None], than: Callable[[], None]) -> float:
+    """Steps a second of one over those of the other."""
+    return envs.rate(step) / envs.rate(than)
 
 
 def scaling() -> Iterator[Target]:
@@ -219,11 +251,17 @@ def scaling() -> Iterator[Target]:
 
 GROUPS: dict[str, Callable[[], Iterator[Target]]] = {
     "floor": against_floor, "cores": all_cores, "c": against_c, "peers": against_peers,
-    "functions": functions, "one": one_run, "scaling": scaling,
+    "functions": functions, "one": one_run, "envs": environments, "scaling": scaling,
 }  # fmt: skip
 
 
+def shown(value: float) -> str:
+    """A figure in eight characters."""
+    return f"{value:8.0f}" if value >= 1000 else f"{value:8.3f}"
+
+
 def main() -> None:
+    logging.getLogger("estbench").setLevel(logging.ERROR)  # which sensors an environment is given
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS))
     parser.add_argument("--repeat", type=int, default=5)
@@ -236,7 +274,7 @@ def main() -> None:
             middle = statistics.median(got)
             met = middle >= target.limit if target.least else middle <= target.limit
             print(
-                f"{target.name:62}{middle:8.3f}{min(got):8.3f}{max(got):8.3f}  "
+                f"{target.name:62}{shown(middle)}{shown(min(got))}{shown(max(got))}  "
                 f"{'>=' if target.least else '<='} {target.limit:g}{target.unit} "
                 f"{'met' if met else 'NOT MET'}",
                 flush=True,
