@@ -13,6 +13,16 @@ def check_switch(name: str, value: object) -> None:
         raise EnvError(f"{name} is {shown(value)}; use True or False")
 
 
+def check_threads(nthread: object) -> None:
+    """Refuse a number of threads that is no whole number of at least 1, nor None."""
+    whole = isinstance(nthread, int) and not isinstance(nthread, bool)
+    if nthread is not None and not (whole and nthread >= 1):  # type: ignore[operator]
+        raise EnvError(
+            f"nthread is {shown(nthread)}; use a whole number of at least 1, or None to leave it "
+            "to estbench"
+        )
+
+
 def not_running(closed: bool) -> EnvError:
     """The error of a `step` that has no episode, or of any call after `close()`."""
     if closed:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from estbench.envs.adopt import adopt
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import EnvError, check_threads
 from estbench.envs.features import Features
 from estbench.envs.following import Following
 from estbench.envs.member import Member
@@ -63,6 +63,7 @@ class Watch:
         filtered: bool = True,
         nthread: int | None = 1,
     ):
+        check_threads(nthread)
         name, self.frame_skip = type(member.env.unwrapped).__name__, frame_skip
         adopted = adopt(member.model, sensors, frame_skip)
         model, self._timestep = adopted.model, float(member.model.opt.timestep)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from estbench.envs.errors import EnvError
+from estbench.envs.errors import EnvError, check_threads
 from estbench.envs.features import Features
 from estbench.envs.task import Task
 from estbench.experiment import setup
@@ -84,6 +84,7 @@ class World:
         nthread: int | None = 1,
         look: bool = False,
     ):
+        check_threads(nthread)
         self.setup, self.rows = prepared, rows
         scenario, plant = prepared.scenario, prepared.plant
         self.task = Task.build(scenario, plant)

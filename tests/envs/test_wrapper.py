@@ -19,6 +19,7 @@ from gymnasium.utils.env_checker import check_env
 from estbench.envs import EstimatedObservation, sensors
 from estbench.envs.errors import EnvError
 from estbench.errors import CovarianceError, DimensionError, EstimatorError, ScenarioError
+from estbench.robots import sharing
 
 FREE = "<mujoco/>"
 ROBOTS = (
@@ -426,3 +427,22 @@ def test_a_reset_by_mujoco_is_seen_in_the_first_step_as_in_any_other(steps_befor
     env.unwrapped.data.qvel[:] = 1e12
     with pytest.raises(EnvError, match="MuJoCo reset the state"):
         env.step(np.zeros(1, np.float32))
+
+
+@pytest.mark.parametrize("nthread", [0, 1.5, True, "2"])
+def test_a_wrong_number_of_threads_is_named(nthread):
+    with pytest.raises(EnvError, match=r"nthread is .*; use a whole number of at least 1"):
+        EstimatedObservation(gym.make("InvertedPendulum-v5"), nthread=nthread)
+    with pytest.raises(EnvError, match="nthread is "):
+        gym.make("estbench/Pendulum-v0", nthread=nthread)
+
+
+def test_the_estimates_do_not_depend_on_the_threads():
+    name, rng = "HalfCheetah-v5", np.random.default_rng(0)
+    envs = [EstimatedObservation(gym.make(name), "ekf", nthread=n) for n in (None, 1, 2)]
+    starts = [env.reset(seed=0)[0] for env in envs]
+    for _ in range(2 * sharing.CALLS + 5):  # a whole trial
+        action = rng.uniform(-1, 1, 6).astype(np.float32)
+        seen = [env.step(action)[0] for env in envs]
+        assert all((a == seen[0]).all() for a in seen)
+    assert all((a == starts[0]).all() for a in starts)
