@@ -30,7 +30,8 @@ from estbench.scenario.schema import (
 )
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import sight
-from estbench.sensors.timing import Instant, Schedule
+from estbench.sensors.instants import Instant, Instants
+from estbench.sensors.timing import Schedule
 from estbench.shapes import Array, Float
 from estbench.simulation import controllers
 from estbench.simulation.initial import InitialStates
@@ -74,7 +75,7 @@ class Setup:
     scenario: Scenario
     plant: controllers.Plant
     channels: tuple[Channel, ...]
-    instants: tuple[Instant, ...]
+    instants: Sequence[Instant]
     disturbance: Disturbance
     shared: Believed
     believed: Mapping[str, Believed]
@@ -93,7 +94,16 @@ class Setup:
     @property
     def times(self) -> Float[Array, " time"]:
         """The start, and the end of every instant, s."""
-        return np.array([0.0] + [i.end for i in self.instants])
+        if isinstance(self.instants, Instants):
+            return self.instants.times
+        return np.array([0.0, *(i.end for i in self.instants)])
+
+    @property
+    def steps(self) -> int:
+        """Control steps of each run; readings between them add instants."""
+        if isinstance(self.instants, Instants):
+            return self.instants.controls
+        return sum(i.control for i in self.instants)
 
     def model(
         self,
@@ -251,7 +261,10 @@ class Setup:
         late = [c.timing.longest_delay for c in self.channels]
         late += [round((c.latency or 0.0) / timestep) for c in section.channels.values()]
         # A reading is fused at the first instant after its arrival, up to one interval later.
-        slack = max(i.nstep for i in self.instants) if any(late) else 0
+        slack = 0
+        if any(late):
+            known = isinstance(self.instants, Instants)
+            slack = self.instants.longest if known else max(i.nstep for i in self.instants)
         return max(late, default=0) + slack
 
     def simulator(self, runs: Sequence[int]) -> Simulator:
@@ -295,7 +308,7 @@ class Setup:
     def controller(self, runs: Sequence[int]) -> controllers.Controller:
         """The controller for some runs; its errors name it."""
         section = self.scenario.control
-        steps = sum(i.control for i in self.instants)
+        steps = self.steps
         seed = self.scenario.simulation.seed
         made = controllers.build(section, self.plant, seed, runs, steps)
         name = section.function if section.kind == "user" else section.kind

@@ -104,7 +104,7 @@ def build(scenario: Scenario) -> Setup:
         scenario=scenario,
         plant=plant,
         channels=tuple(channels),
-        instants=tuple(instants),
+        instants=instants,
         disturbance=disturbance,
         shared=believing.build(scenario, belief, truth, channels, instants, disturbance),
         believed={},
@@ -234,7 +234,7 @@ def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
     Raises:
         EstimatorError: `start.window` or a setting of the estimator needs a longer run.
     """
-    end, arrivals = setup.instants[-1].end, sum(bool(i.channels) for i in setup.instants)
+    end = setup.instants[-1].end
     start = setup.start(label)
     if start.method != "prior" and start.window >= end:
         raise EstimatorError(
@@ -243,6 +243,7 @@ def _check_lengths(setup: Setup, label: str, estimator: Any) -> None:
     inner = _inner(estimator)
     if not isinstance(inner, ScheduleCheck):
         return
+    arrivals = sum(bool(i.channels) for i in setup.instants)
     try:
         inner.check_schedule(end, arrivals, frozenset(setup.settings(label)))
     except EstbenchError as error:

@@ -5,7 +5,7 @@ or stepped along because the controller sees the estimate (`simulation.sources`)
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol, cast
 
 from estbench.estimators.beliefs import start
@@ -13,6 +13,7 @@ from estbench.estimators.protocol import Estimator, Smoother
 from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
 from estbench.inference.innovations import Innovations
+from estbench.inference.lags import BLOCK
 from estbench.inference.looking_back import LookingBack
 from estbench.inference.traces import Recorder, Traces
 from estbench.sensors.clock import Event
@@ -80,35 +81,80 @@ def run_filter(
     Raises:
         DimensionError: the estimator's mean or covariance has the wrong shape.
     """
+    whole = followed(
+        estimator, space, prior, source, channels, delays=delays, keys=keys, keep_cov=keep_cov,
+        keep_innovations=keep_innovations, stop=stop,
+    )  # fmt: skip
+    return next(whole, None)
+
+
+def followed(
+    estimator: Estimator,
+    space: Manifold,
+    prior: tuple[Float[Array, "run nx"], Float[Array, "run n n"]],
+    source: Source,
+    channels: Mapping[str, Manifold],
+    *,
+    delays: Delays | None = None,
+    keys: UInt[Keys, " run"] | None = None,
+    keep_cov: bool = False,
+    keep_innovations: bool = False,
+    stop: Callable[[], bool] = lambda: False,
+    length: int | None = None,
+) -> Iterator[Traces]:
+    """`run_filter`, one window of instants after the other, of which one is held at a time.
+
+    The traces of a window begin with the last time of the one before, and end where a late reading
+    can change nothing more. They are void when the next is asked for. What they say of the run
+    (fault, lags, ...) is what is known so far.
+
+    Args:
+        estimator, space, prior, source, channels: as for `run_filter`.
+        delays, keys: likewise.
+        keep_cov, keep_innovations: of one window only.
+        stop: asked at every instant; True ends it.
+        length: of a window, instants; None is all.
+    """
     mean0, cov0 = prior
     clock = Stopwatch()
     belief, events = start(estimator, mean0, cov0, keys), source.events
-    recorder = Recorder(estimator, space, len(events), len(mean0), keep_cov)
-    innovations = Innovations(channels, len(events), len(mean0), keep_innovations)
+    delays, count = delays or Delays(), len(events)
+    length = count if length is None else length
+    held = min(count, length + delays.window + BLOCK)
+    recorder = Recorder(estimator, space, held, len(mean0), keep_cov)
+    innovations = Innovations(channels, held, len(mean0), keep_innovations)
     back = history = None
     if hasattr(estimator, "smooth"):
         ends = [event.instant.end for event in events]
         back = LookingBack(cast(Smoother, estimator), belief, ends, recorder)
         history = back.history
-    fusion = Fusion(estimator, belief, Inbox(channels), delays or Delays(), innovations, history)
+    fusion = Fusion(estimator, belief, Inbox(channels), delays, innovations, history)
     clock.stop()
     with quiet():
         recorder.add(0, source.x0, belief)
-        for k, event in enumerate(events):
-            if stop():
-                return None
-            u = source.control(k, recorder.mean[k])
-            x, arrived = source.advance(k, u)
-            clock.start()
-            settled = fusion.step(event, u, arrived)
-            clock.stop()
-            innovations.settle(settled)
-            recorder.add(k + 1, x, fusion.belief, fusion.fault)
-            if back is not None:
+    for first in range(0, max(count, 1), max(length, 1)):
+        with quiet():
+            for k in range(first, min(first + length, count)):
+                if stop():
+                    return
+                event, u = events[k], source.control(k, recorder.estimate(k))
+                x, arrived = source.advance(k, u)
                 clock.start()
-                back.settle(settled if k + 1 < len(events) else k + 2)
+                settled = fusion.step(event, u, arrived)
                 clock.stop()
-    return recorder.traces(innovations.traces() | {"late": fusion.late, "cpu_time": clock.cpu_time})
+                innovations.settle(settled)
+                recorder.add(k + 1, x, fusion.belief, fusion.fault)
+                if back is not None:
+                    clock.start()
+                    back.settle(settled if k + 1 < count else k + 2)
+                    clock.stop()
+        final = first + length >= count
+        known = count if final else innovations.settled
+        counted = {"late": fusion.late, "cpu_time": clock.cpu_time}
+        yield recorder.traces(innovations.traces(known, final) | counted, known + 1)
+        if not final:
+            recorder.drop(known)
+            innovations.drop(known)
 
 
 class Stopwatch:

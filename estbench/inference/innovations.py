@@ -56,7 +56,7 @@ class Innovations:
 
     Args:
         spaces: channel -> the manifold of its readings, in the measurement's order.
-        count: of instants.
+        count: of instants that are held at once; those before are to be let go (`drop`).
         runs: how many.
         keep: whether to record ν and S too.
 
@@ -68,6 +68,7 @@ class Innovations:
         stops = np.cumsum([0, *(space.n for space in spaces.values())])
         self._columns = {name: np.arange(a, b) for name, a, b in zip(spaces, stops, stops[1:])}
         self.rows = runs
+        self._first = 0  # the instant of the first row
         self._nis, self._dof = np.zeros((count, runs)), np.zeros((count, runs), np.int64)
         self._likelihood, self._gated = np.zeros_like(self._nis), np.zeros_like(self._dof)
         self._lags = Lags(runs, {name: space.n for name, space in spaces.items()})
@@ -76,10 +77,11 @@ class Innovations:
 
     def clear(self, k: int, rows: RunIndex) -> None:
         """Forget what some runs had at instant k."""
-        self._nis[k, rows], self._dof[k, rows] = 0.0, 0
-        self._likelihood[k, rows], self._gated[k, rows] = 0.0, 0
+        row = k - self._first
+        self._nis[row, rows], self._dof[row, rows] = 0.0, 0
+        self._likelihood[row, rows], self._gated[row, rows] = 0.0, 0
         for kept in self._kept:
-            kept[k + 1, rows] = np.nan
+            kept[row + 1, rows] = np.nan
 
     def put(
         self,
@@ -101,12 +103,13 @@ class Innovations:
             mask: of those runs, True where a component arrived; None means everywhere.
             rows: which runs they are.
         """
-        self._nis[k, rows] += innovation.nis
-        self._dof[k, rows] += innovation.dof
-        self._likelihood[k, rows] += log_likelihood(innovation, mask)
+        row = k - self._first
+        self._nis[row, rows] += innovation.nis
+        self._dof[row, rows] += innovation.dof
+        self._likelihood[row, rows] += log_likelihood(innovation, mask)
         gated = getattr(innovation, "gated", None)
         if gated is not None:
-            self._gated[k, rows] += gated
+            self._gated[row, rows] += gated
         fused = np.reshape(innovation.dof, (-1, 1)) > 0
         if not fused.all():  # a start gathers readings before it fuses any
             mask = fused if mask is None else mask & fused
@@ -120,7 +123,7 @@ class Innovations:
                     came = mask = (innovation.white != 0) & (True if came is None else came)
             self._lags.put(k, layer, channels, innovation.white, came, rows)
         if self._kept and np.size(getattr(innovation, "residual", ())):
-            self._keep(k, channels, innovation, mask, rows)
+            self._keep(row, channels, innovation, mask, rows)
 
     def settle(self, first: int) -> None:
         """The instants before `first` are updated no more."""
@@ -128,14 +131,14 @@ class Innovations:
 
     def _keep(
         self,
-        k: int,
+        row: int,
         channels: Sequence[str],
         innovation: Innovation,
         mask: Bool[Mask, "run m"] | None,
         rows: RunIndex,
     ) -> None:
         """Write ν and S where they belong."""
-        residual, cov = (kept[k + 1] for kept in self._kept)
+        residual, cov = (kept[row + 1] for kept in self._kept)
         runs = np.arange(self.rows)[rows]
         where = np.concatenate([self._columns[name] for name in channels])
         came = np.broadcast_to(True if mask is None else mask, (len(runs), len(where)))
@@ -144,18 +147,39 @@ class Innovations:
         both = came[:, :, None] & came[:, None, :]
         cov[block] = np.where(both, innovation.cov, cov[block])
 
-    def traces(self) -> dict[str, Any]:
-        """What `Traces` says of innovations."""
-        lags, lag_terms = self._lags.sums()
+    @property
+    def settled(self) -> int:
+        """All that is said of the instants before it is final, the sums of their lags included."""
+        return self._lags.settled
+
+    def traces(self, stop: int | None = None, final: bool = True) -> dict[str, Any]:
+        """What `Traces` says of innovations.
+
+        Args:
+            stop: the first instant that is left out; None for none.
+            final: whether nothing is noted after it; else `stop` is at most `settled`.
+        """
+        lags, lag_terms = self._lags.sums(final)
         residual, cov = self._kept or (None, None)
+        last = self._first + len(self._nis) if stop is None else stop
+        rows = slice(last - self._first)
+        nis, dof = self._nis[rows], self._dof[rows]
         return {
-            "nis": np.where(self._dof > 0, self._nis, np.nan),
-            "dof": self._dof,
-            "log_likelihood": np.where(self._dof > 0, self._likelihood, 0.0),
-            "gated": self._gated,
-            "channel_nis": self._lags.nis(len(self._nis)),
+            "nis": np.where(dof > 0, nis, np.nan),
+            "dof": dof,
+            "log_likelihood": np.where(dof > 0, self._likelihood[rows], 0.0),
+            "gated": self._gated[rows],
+            "channel_nis": self._lags.nis(last, self._first),
             "lags": lags,
             "lag_terms": lag_terms,
             "innovation": residual,
             "innovation_cov": cov,
         }
+
+    def drop(self, first: int) -> None:
+        """Let the instants before one go; the traces that were given are void."""
+        gone, self._first = first - self._first, first
+        for kept in (self._nis, self._dof, self._likelihood, self._gated):
+            left = len(kept) - gone
+            kept[:left], kept[left:] = kept[gone:].copy(), 0
+        self._lags.drop(first)

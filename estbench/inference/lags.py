@@ -110,33 +110,47 @@ class Lags:
         start = sum(self._widths[c] for c in channels[: channels.index(name)])
         return slice(start, start + self._widths[name])
 
-    def sums(self) -> tuple[Float[Array, "run lag"], Int[Ints, "run lag"]]:
+    @property
+    def settled(self) -> int:
+        """The first instant that is not added up."""
+        return self._settled
+
+    def sums(self, final: bool = True) -> tuple[Float[Array, "run lag"], Int[Ints, "run lag"]]:
         """The sums of lags 0 to LAGS, and how many products of two numbers are in each.
 
-        Nothing may be noted after it.
+        Args:
+            final: whether nothing is noted after it; else they are those of the settled instants.
         """
-        self._finish()
+        if final:
+            self._finish()
         terms = np.zeros((self._runs, LAGS + 1), np.int64)
         for count in self._counts.values():
             terms += np.maximum(count[..., None] - np.arange(LAGS + 1), 0).sum(axis=1)
         return self._sums, terms
 
-    def nis(self, count: int) -> Float[Array, "step run channel"]:
+    def nis(self, stop: int, first: int = 0) -> Float[Array, "step run channel"]:
         """NIS/m of each channel at each instant, NaN where nothing of it arrived.
 
         Of channels fused together it is the sum of ν̃² over the channel's components, divided by
         their number: NIS of the channel given those before it in the measurement, so that the sums
-        of all channels add up to NIS. Nothing may be noted after it.
+        of all channels add up to NIS.
 
         Args:
-            count: of instants.
+            stop: the first instant that is left out. Nothing may be noted of those before it.
+            first: instant, before which all have been let go.
         """
-        self._finish()
-        out = np.full((count, self._runs, len(self._widths)), np.nan)
+        if stop > self._settled:
+            self._finish()
+        out = np.full((stop - first, self._runs, len(self._widths)), np.nan)
         for i, found in enumerate(self._means.values()):
             for instants, mean in found:
-                out[instants, :, i] = mean
+                out[instants - first, :, i] = mean
         return out
+
+    def drop(self, first: int) -> None:
+        """Let NIS of the instants before one go: all that has been added up."""
+        for found in self._means.values():
+            found[:] = [(instants, mean) for instants, mean in found if instants[-1] >= first]
 
     def _finish(self) -> None:
         while self._noted:

@@ -84,12 +84,21 @@ class Traces:
 
 
 class Recorder:
-    """The traces of one estimator as they grow."""
+    """The traces of one estimator as they grow.
+
+    Args:
+        estimator: any object of the protocol.
+        space: the state space.
+        count: instants that are held at once; those before are to be let go (`drop`).
+        runs: how many.
+        keep_cov: whether to record full covariances.
+    """
 
     def __init__(
         self, estimator: Estimator, space: Manifold, count: int, runs: int, keep_cov: bool
     ):
         n = space.n
+        self._first = 0  # the time of the first row
         self._space, self._shape = space, (runs, space.nx, n)
         self.truth, self.mean = (np.empty((count + 1, runs, space.nx)) for _ in range(2))
         self._error, self._std = (np.empty((count + 1, runs, n)) for _ in range(2))
@@ -120,23 +129,25 @@ class Recorder:
         m, P = self._answers.moments(belief, *self._shape)
         self.judged = x is not None
         x = m if x is None else x
-        self.truth[index], self.mean[index] = x, m
-        self._error[index] = self._space.minus(x, m)
+        row = index - self._first
+        self.truth[row], self.mean[row] = x, m
+        error = self._space.minus(x, m)
+        self._error[row] = error
         # A coordinate that was large has the rounding errors of that time, though it is small now.
         self._size = np.fmax(
             self._size, np.fmax(self._space.magnitude(x), self._space.magnitude(m))
         )
-        form = range_form(P, self._error[index], RESOLUTION * self._size)
+        form = range_form(P, error, RESOLUTION * self._size)
         variance = np.where(form.known, 0.0, np.diagonal(P, axis1=-2, axis2=-1))
-        self._std[index] = np.sqrt(np.where(variance >= 0, variance, np.nan))
-        self._nees[index], self._rank[index] = form.value, form.dof
-        self._along[index] = (form.white @ self._directions) ** 2
+        self._std[row] = np.sqrt(np.where(variance >= 0, variance, np.nan))
+        self._nees[row], self._rank[row] = form.value, form.dof
+        self._along[row] = (form.white @ self._directions) ** 2
         if self._cov is not None:
-            self._cov[index] = P
+            self._cov[row] = P
         for found in (self._answers.asymmetry(P), fault):
             if found is not None:
                 self._note(index, found > 0, found)
-        broken = ~np.isfinite(self._nees[index])
+        broken = ~np.isfinite(self._nees[row])
         if broken.any():
             self._mark(index, broken, x, m, P, self._answers.reasons(belief, self._shape[0]))
 
@@ -160,13 +171,34 @@ class Recorder:
         new = broken & (self._fault == Fault.NONE)
         self._fault[new], self._fault_step[new] = code[new], index
 
-    def traces(self, fused: Mapping[str, Any]) -> Traces:
-        """What was recorded, with what the event loop counted."""
+    def estimate(self, index: int) -> Float[Array, "run nx"]:
+        """The mean at the index-th time."""
+        return self.mean[index - self._first]
+
+    def traces(self, fused: Mapping[str, Any], stop: int | None = None) -> Traces:
+        """What was recorded, with what the event loop counted.
+
+        Args:
+            fused: of the innovations, of the same instants.
+            stop: the first time that is left out; None for none.
+        """
         if not self.judged:  # nothing is known of the errors
             for unknown in (self.truth, self._error, self._nees, self._along):
                 unknown[:] = np.nan
+        rows = slice(None if stop is None else stop - self._first)
         return Traces(
-            truth=self.truth, mean=self.mean, error=self._error, std=self._std, nees=self._nees,
-            rank=self._rank, along=self._along, fault=self._fault, fault_step=self._fault_step,
-            cov=self._cov, **fused,
+            truth=self.truth[rows], mean=self.mean[rows], error=self._error[rows],
+            std=self._std[rows], nees=self._nees[rows], rank=self._rank[rows],
+            along=self._along[rows], fault=self._fault, fault_step=self._fault_step,
+            cov=None if self._cov is None else self._cov[rows], **fused,
         )  # fmt: skip
+
+    def drop(self, first: int) -> None:
+        """Let the times before one go; the traces that were given are void."""
+        gone, self._first = first - self._first, first
+        for kept in (
+            self.truth, self.mean, self._error, self._std, self._nees, self._rank, self._along,
+            self._cov,
+        ):  # fmt: skip
+            if kept is not None:
+                kept[: len(kept) - gone] = kept[gone:].copy()

@@ -151,7 +151,7 @@ def _collect(
         names=prepared.space.names,
         units=prepared.space.units,
         times=prepared.times,
-        steps=sum(instant.control for instant in prepared.instants),
+        steps=prepared.steps,
         runs=tuple(runs),
         summaries=tuple(
             summarize(

@@ -9,15 +9,16 @@ plus the latency; without latency it arrives when it is sampled.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from estbench.errors import ScenarioError
+from estbench.sensors.instants import Instant, Instants
 from estbench.shapes import Array, Float, Int, Ints
 
 MOST_INSTANTS = 5_000_000
-"""Upper limit of the instants per run: 2.5 GB at half a kilobyte each."""
+"""Upper limit of the instants per run: 2.5 GB at half a kilobyte each, where all are held."""
 _REMEMBERED = 10_000
 """Control periods that a schedule remembers."""
 
@@ -54,25 +55,6 @@ class MjcfTiming:
             latency=delay, timestep=timestep, fractional=None if even else (first, interval),
             history=history,
         )  # fmt: skip
-
-
-class Instant(NamedTuple):
-    """The end of one interval of the event loop.
-
-    Attributes:
-        start, end: s.
-        nstep: physics steps between them.
-        channels: names of the channels that are due at `end`.
-        control: whether the controller is evaluated at `start`.
-        tick: physics steps since t = 0 at `end`.
-    """
-
-    start: float
-    end: float
-    nstep: int
-    channels: tuple[str, ...]
-    control: bool
-    tick: int
 
 
 @dataclass(frozen=True)
@@ -256,7 +238,7 @@ def between(timing: Timing, frame_skip: int) -> bool:
 
 def instants(
     channels: Sequence[tuple[str, Timing]], timestep: float, frame_skip: int, duration: float
-) -> list[Instant]:
+) -> Instants:
     """The instants of the event loop: every filter step and every sampling time, in order.
 
     The last filter step ends at the duration, rounded to an integer count of filter steps (at
@@ -275,7 +257,8 @@ def instants(
     _check_count(channels, timestep, frame_skip, duration)
     count = max(1, round(duration / (timestep * frame_skip)))
     schedule = Schedule(channels, timestep, frame_skip, count * frame_skip)
-    return [instant for k in range(count) for instant in schedule.period(k)]
+    found = (instant for k in range(count) for instant in schedule.period(k))
+    return Instants(found, timestep)
 
 
 def _check_count(

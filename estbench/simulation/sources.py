@@ -3,8 +3,9 @@
 Arrays are time-major `(instant, run, ...)`: the event loop works on one instant of all runs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 
@@ -34,11 +35,31 @@ class Trajectory:
     lost: Bool[Mask, " run"] | None = None
 
 
+class Events(Sequence[Event]):
+    """The instants as events of all rows, made when they are asked for."""
+
+    def __init__(self, instants: Sequence[Instant]):
+        self._instants = instants
+
+    def __len__(self) -> int:
+        return len(self._instants)
+
+    @overload
+    def __getitem__(self, k: int) -> Event: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Event]: ...
+    def __getitem__(self, k: int | slice) -> Event | list[Event]:
+        if isinstance(k, slice):
+            return [Event(instant.tick, instant) for instant in self._instants[k]]
+        instant = self._instants[k]
+        return Event(instant.tick, instant)
+
+
 class Recorded:
     """A trajectory that was simulated beforehand, the same for every estimator."""
 
     def __init__(self, instants: Sequence[Instant], trajectory: Trajectory):
-        self.events: Sequence[Event] = [Event(instant.tick, instant) for instant in instants]
+        self.events: Sequence[Event] = Events(instants)
         self.x0 = trajectory.x[0]
         self._trajectory = trajectory
 
@@ -70,7 +91,7 @@ class Live:
         controller: Controller,
         period: float,
     ):
-        self.events: Sequence[Event] = [Event(instant.tick, instant) for instant in instants]
+        self.events: Sequence[Event] = Events(instants)
         self.x0 = simulator.x
         self._simulator, self._controller, self._period = simulator, controller, period
         self._u = np.empty(0)
@@ -134,3 +155,53 @@ def finite(x: Float[Array, "run nx"], fallback: Float[Array, "run nx"]) -> Float
     """X with the rows that are not finite replaced: a failed run must not reach a controller."""
     bad = ~np.isfinite(x).all(axis=-1)
     return np.where(bad[:, None], fallback, x) if bad.any() else x
+
+
+class Passing:
+    """A trajectory of which one window is known at a time: the same for all who follow in step.
+
+    The controller sees the true state.
+
+    Args:
+        live: the robots at their start.
+        length: of a window, instants.
+
+    Attributes:
+        ended: the first time, by its index, at which a run has no truth, -1 for none `(run,)`.
+    """
+
+    def __init__(self, live: Live, length: int):
+        self.events, self.x0 = live.events, live.x0
+        self.ended = np.full(len(live.x0), -1)
+        self._live, self._length = live, length
+        self._first = self._next = 0
+        self._now = Trajectory(live.x0[None], np.empty((0, len(live.x0), 0)), [])
+
+    def forward(self, stop: Callable[[], bool] = lambda: False) -> Trajectory | None:
+        """The next window, which begins where the last one ended; None when stopped."""
+        self._first = self._next
+        self._next = min(self._first + self._length, len(self.events))
+        x, u, deliveries = [self._now.x[-1]], [], []
+        for k in range(self._first, self._next):
+            if stop():
+                return None
+            u.append(self._live.control(k, x[-1]))
+            now, arrived = self._live.advance(k, u[-1])
+            x.append(now)
+            deliveries.append(arrived)
+        self._now = Trajectory(np.stack(x), np.stack(u), deliveries)
+        gone = ~np.isfinite(self._now.x).all(axis=-1)
+        new = gone.any(axis=0) & (self.ended < 0)
+        self.ended[new] = self._first + gone.argmax(axis=0)[new]
+        return self._now
+
+    def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
+        """The control, of the window that is known."""
+        return self._now.u[k - self._first]
+
+    def advance(
+        self, k: int, u: Float[Array, "run nu"]
+    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
+        """The state and the readings, of the window that is known."""
+        place = k - self._first
+        return self._now.x[place + 1], self._now.deliveries[place]
