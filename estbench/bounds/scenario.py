@@ -90,14 +90,22 @@ def bound_of_runs(
         return out
     x, u = happened.x[:, few], happened.u[:, few]
     system, factor = true_system(setup, [runs[place] for place in few])
-    jacobian = np.broadcast_to(np.eye(len(factor)), (len(few), *factor.shape)).copy()
-    jacobian[:, :n, :n] = setup.space.reset_jacobian(setup.space.minus(x[0], setup.mean))
+    jacobian = beginning(setup, factor, x[0])
     read = readings(setup, happened.deliveries, few)
     for k, variations in enumerate(follow((factor, jacobian), system, setup.times, x, u, read)):
         if stop():
             return None
         out[k, few] = variations.values()[:, :n]
     return out
+
+
+def beginning(
+    setup: Setup, factor: Float[Array, "k k"], x0: Float[Array, "run nx"]
+) -> Float[Array, "run k k"]:
+    """The Jacobian of the unknowns at the start: that of x₀ is in the tangent at the true state."""
+    jacobian, n = np.broadcast_to(np.eye(len(factor)), (len(x0), *factor.shape)).copy(), setup.space.n
+    jacobian[:, :n, :n] = setup.space.reset_jacobian(setup.space.minus(x0, setup.mean))
+    return jacobian
 
 
 def readings(

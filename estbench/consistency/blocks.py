@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from estbench.consistency.sums import Mean
 from estbench.shapes import Array, Bool, Float, Mask
 
 COUNT = 10
@@ -67,19 +68,21 @@ def means(
     values: Float[Array, "time run *any"],
     counted: Bool[Mask, "..."],
     members: Sequence[Bool[Mask, " time"]],
-) -> Float[Array, "run block *any"]:
-    """Mean of some values over the instants of each block; NaN for a block without any.
+) -> Mean:
+    """Mean of some values over the instants of each block `(run, block, ...)`.
+
+    NaN for a block without any.
 
     Args:
         values: of each instant.
         counted: the values that count.
         members: the instants of each block.
     """
-    out = np.full((values.shape[1], len(members), *values.shape[2:]), np.nan)
+    shape = values.shape[1], len(members), *values.shape[2:]
+    total, number = np.zeros(shape), np.zeros(shape, np.int64)
     for i, inside in enumerate(members):
         if inside.any():
             part = np.broadcast_to(counted[inside], values[inside].shape)
-            number = part.sum(axis=0)
-            total = np.where(part, values[inside], 0.0).sum(axis=0)
-            np.divide(total, number, out=out[:, i], where=number > 0)
-    return out
+            number[:, i] = part.sum(axis=0)
+            total[:, i] = np.where(part, values[inside], 0.0).sum(axis=0)
+    return Mean(total, number)

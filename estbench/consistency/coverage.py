@@ -6,6 +6,7 @@ import numpy as np
 from scipy import special
 
 from estbench.consistency.intervals import Interval, mean_interval
+from estbench.consistency.sums import Mean
 from estbench.shapes import Array, Float
 
 SIGMAS = (1, 2, 3)
@@ -13,10 +14,10 @@ EXPECTED = tuple(float(special.erf(k / np.sqrt(2))) for k in SIGMAS)
 """Shares of normal errors: 0.683, 0.954, 0.997."""
 
 
-def inside(
-    error: Float[Array, "step run n"], std: Float[Array, "step run n"]
-) -> Float[Array, "run n 3"]:
-    """Share of the steps at which |error| <= kσ, k = 1, 2, 3; NaN where no step counts.
+def inside(error: Float[Array, "step run n"], std: Float[Array, "step run n"]) -> Mean:
+    """Share of the steps at which |error| <= kσ, k = 1, 2, 3 `(run, n, 3)`.
+
+    NaN where no step counts.
 
     A step whose error or σ is not finite counts as outside. A step at which the coordinate is known
     exactly does not count.
@@ -28,7 +29,8 @@ def inside(
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(std == 0, np.nan, np.abs(error) / std)
         count = np.count_nonzero(std != 0, axis=0)
-        return np.stack([(ratio <= k).sum(axis=0) / count for k in SIGMAS], axis=-1)
+        found = np.stack([(ratio <= k).sum(axis=0) for k in SIGMAS], axis=-1)
+    return Mean(found, count[..., None])
 
 
 @dataclass(frozen=True)

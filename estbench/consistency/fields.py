@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estbench.consistency.blocks import Block, means
 from estbench.consistency.coverage import inside
+from estbench.consistency.sums import Mean, Ratio, Sum, Total
 from estbench.inference.traces import Traces
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask, Shaped
 
@@ -45,10 +46,17 @@ class Recorded(Field):
     """A variable that is computed from the traces of one batch.
 
     Attributes:
-        of: computes the values, their dimensions in the order of `dims`.
+        of: computes the values, their dimensions in the order of `dims`, or the sums that give
+            them. Sums add up over the windows of a long run; what is none is computed from a
+            sample of its instants (`consistency.windows`).
     """
 
-    of: Callable[["BatchTraces"], NDArray[Any]]
+    of: Callable[["BatchTraces"], NDArray[Any] | Sum]
+
+    def values(self, batch: "BatchTraces") -> NDArray[Any]:
+        """The values of a batch."""
+        found = self.of(batch)
+        return found if isinstance(found, np.ndarray) else found.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +111,14 @@ class BatchTraces:
         return np.asarray(np.isfinite(self.bound).all(axis=-1))
 
     @cached_property
-    def inside(self) -> Float[Array, "run n 3"]:
-        """Share of the settled steps with an error of at most 1, 2, 3σ."""
+    def _inside(self) -> Mean:
+        """Share of the settled steps with an error of at most 1, 2, 3σ `(run, n, 3)`."""
         return inside(self.traces.error[self.settled], self.traces.sigma[self.settled])
+
+    def inside(self, which: int) -> Mean:
+        """Share of the settled steps with an error of at most `SIGMAS[which]` σ `(run, n)`."""
+        found = self._inside
+        return Mean(found.total[..., which], found.number[..., 0])
 
     @cached_property
     def nis(self) -> Float[Array, "time run"]:
@@ -117,12 +130,13 @@ class BatchTraces:
         """Dimension m of the innovation at every instant."""
         return np.concatenate([np.zeros((1, self.runs), np.int64), self.traces.dof])
 
-    def average(self, values: Shaped[NDArray[Any], "time run *any"]) -> Float[Array, " run *any"]:
-        """Mean over the settled instants.
+    def average(self, values: Shaped[NDArray[Any], "time run *any"]) -> Mean:
+        """Mean over the settled instants `(run, ...)`.
 
         A run whose values are NaN from its failure on has the average NaN.
         """
-        return values[self.settled].mean(axis=0)
+        chosen = values[self.settled]
+        return Mean(chosen.sum(axis=0), len(chosen))
 
     @cached_property
     def scaled(self) -> Float[Array, "time run n"]:
@@ -137,8 +151,8 @@ class BatchTraces:
 
     def in_blocks(
         self, values: Float[Array, "time run *any"], counted: Bool[Mask, "..."]
-    ) -> Float[Array, "run block *any"]:
-        """Mean over the instants of each block; NaN where none counts."""
+    ) -> Mean:
+        """Mean over the instants of each block `(run, block, ...)`; NaN where none counts."""
         return means(values, counted, [b.members(self.times) for b in self.blocks])
 
     @cached_property
@@ -148,14 +162,15 @@ class BatchTraces:
 
     def in_phases(
         self, values: Float[Array, "time run *any"], counted: Bool[Mask, "time run"] | None = None
-    ) -> Float[Array, "run phase *any"]:
-        """Mean over the settled instants of each phase; NaN where none counts."""
+    ) -> Mean:
+        """Mean over the settled instants of each phase `(run, phase, ...)`; NaN where none counts."""
         if self.phases is None:
-            return np.full((self.runs, len(PHASES), *values.shape[2:]), np.nan)
+            return Mean(np.zeros((self.runs, len(PHASES), *values.shape[2:])), 0)
         parts = self.phases if counted is None else self.phases & counted[..., None]
         wide = parts.reshape(*parts.shape, *[1] * (values.ndim - 2))
         found = [means(values, wide[:, :, p], [self.settled]) for p in range(len(PHASES))]
-        return np.concatenate(found, axis=1)
+        totals, numbers = ([getattr(m, name) for m in found] for name in ("total", "number"))
+        return Mean(np.concatenate(totals, axis=1), np.concatenate(numbers, axis=1))
 
     def around_contact(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
         """Mean over the settled instants before the first event of contact, and from it on.
@@ -165,15 +180,15 @@ class BatchTraces:
         if self.phases is None:
             return np.full((self.runs, 2), np.nan)
         since = np.maximum.accumulate(self.phases[..., PHASES.index("event")], axis=0)
-        parts = [means(values, part & since[-1] & self.judged, [self.settled])[:, 0]
+        parts = [means(values, part & since[-1] & self.judged, [self.settled]).value[:, 0]
                  for part in (~since, since)]  # fmt: skip
         return np.stack(parts, axis=-1)
 
-    def phase_steps(self) -> Int[Ints, "run phase"]:
+    def phase_steps(self) -> Total:
         """How many settled instants each phase has; 0 where the phases are not known."""
         if self.phases is None:
-            return np.zeros((self.runs, len(PHASES)), np.int64)
-        return self.phases[self.settled].sum(axis=0)
+            return Total(np.zeros((self.runs, len(PHASES)), np.int64))
+        return Total(self.phases[self.settled].sum(axis=0))
 
     @cached_property
     def normalized_update(self) -> Float[Array, "time run"]:
@@ -202,23 +217,25 @@ class BatchTraces:
         found = _by_size(self.log_variance, self.scaled[self.settled] ** 2, known)
         return np.swapaxes(found, 1, 2)
 
-    def along(self) -> Float[Array, "run direction"]:
-        """Mean over the settled instants of the square along each fixed direction."""
+    def along(self) -> Mean:
+        """Mean over the settled instants of the square along each direction `(run, direction)`."""
         values = self.traces.along[self.settled]
-        return means(values, np.isfinite(values), [np.ones(len(values), bool)])[:, 0]
+        return _mean(values, np.isfinite(values))
 
-    def channel_nis(self) -> Float[Array, "run channel"]:
-        """Mean over the settled updates of NIS/m of each channel; NaN where none arrived."""
+    def channel_nis(self) -> Mean:
+        """Mean over the settled updates of NIS/m of each channel `(run, channel)`.
+
+        NaN where none arrived.
+        """
         values = self.traces.channel_nis[self.settled[1:]]
         lost = ~np.isfinite(self.traces.nis[self.settled[1:]]) & (
             self.traces.dof[self.settled[1:]] > 0
         )
-        counted = ~np.isnan(values) | lost[..., None]
-        return means(values, counted, [np.ones(len(values), bool)])[:, 0]
+        return _mean(values, ~np.isnan(values) | lost[..., None])
 
-    def summed(self, values: Shaped[NDArray[Any], "step run"]) -> Shaped[NDArray[Any], " run"]:
-        """Sum over the settled instants."""
-        return values[self.settled[1:]].sum(axis=0)
+    def summed(self, values: Shaped[NDArray[Any], "step run"]) -> Total:
+        """Sum over the settled instants `(run,)`."""
+        return Total(values[self.settled[1:]].sum(axis=0))
 
     def total(
         self, values: Shaped[NDArray[Any], "time run *any"]
@@ -235,26 +252,28 @@ class BatchTraces:
         """NEES divided by its degrees of freedom, by 1 where there are none."""
         return self.traces.nees / np.maximum(self.traces.rank, 1)
 
-    def normalized_nees(self) -> Float[Array, " run"]:
-        """Mean of NEES over the settled instants, divided by that of its degrees of freedom.
+    def normalized_nees(self) -> Ratio:
+        """Mean of NEES over the settled instants, divided by that of its degrees of freedom `(run,)`.
 
         NaN where all is known exactly, and the estimate is right.
         """
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return self.average(self.traces.nees) / self.average(self.traces.rank)
+        return Ratio(self.average(self.traces.nees), self.average(self.traces.rank))
 
     @cached_property
-    def known(self) -> Float[Array, "run n"]:
-        """Share of the settled instants at which each coordinate is known exactly."""
-        return (self.traces.std[self.settled] == 0).mean(axis=0)
+    def known(self) -> Mean:
+        """Share of the settled instants at which each coordinate is known exactly `(run, n)`."""
+        return self.average(self.traces.std == 0)
 
-    def normalized_nis(self) -> Float[Array, " run"]:
-        """Mean over the settled updates of NIS/m; NaN without an update."""
+    def normalized_nis(self) -> Mean:
+        """Mean over the settled updates of NIS/m `(run,)`; NaN without an update."""
         traces, late = self.traces, self.settled[1:]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.where(traces.dof > 0, traces.nis / np.maximum(traces.dof, 1), 0.0)[late]
-            updates = (traces.dof[late] > 0).sum(axis=0)
-            return np.where(updates > 0, ratio.sum(axis=0) / np.maximum(updates, 1), np.nan)
+        ratio = np.where(traces.dof > 0, traces.nis / np.maximum(traces.dof, 1), 0.0)[late]
+        return Mean(ratio.sum(axis=0), (traces.dof[late] > 0).sum(axis=0))
+
+
+def _mean(values: Float[Array, "time run *any"], counted: Bool[Mask, "time run *any"]) -> Mean:
+    """Mean over the instants of the values that count `(run, ...)`; NaN where none does."""
+    return Mean(np.where(counted, values, 0.0).sum(axis=0), counted.sum(axis=0))
 
 
 def _by_size(
@@ -272,8 +291,7 @@ def _by_size(
     with np.errstate(invalid="ignore"):
         small = size < np.median(size, axis=0)
     counted = counted & (np.ptp(size, axis=0) > STEADY)
-    every = [np.ones(len(values), bool)]
-    parts = [means(values, part & counted, every)[:, 0] for part in (small, ~small)]
+    parts = [_mean(values, part & counted).value for part in (small, ~small)]
     return np.stack(parts, axis=-1)
 
 

@@ -47,6 +47,10 @@ def diverged_runs(
         window: steps, at least 1; more than there are count as all.
     """
     above = normalized > threshold
-    window = max(1, min(window, len(above)))
+    return lasting(above, max(1, min(window, len(above))))
+
+
+def lasting(above: Bool[Mask, "step run"], window: int) -> Bool[Mask, " run"]:
+    """Runs with `window` consecutive steps that are True; none where there are fewer steps."""
     total = np.concatenate([np.zeros((1, above.shape[1]), np.int64), above.cumsum(axis=0)])
     return (total[window:] - total[:-window] == window).any(axis=0)

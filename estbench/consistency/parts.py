@@ -74,7 +74,7 @@ def of_log(
         part = replace(whole, settled=here, blocks=(block,))
         judged = replace(part, settled=here & known) if (here & known).any() else part
         rows.append({
-            name: field.of(part if name in OF_INNOVATIONS else judged)
+            name: field.values(part if name in OF_INNOVATIONS else judged)
             for name, field in PER_RUN.items()
         })  # fmt: skip
     sample = {name: np.concatenate([row[name] for row in rows]) for name in PER_RUN}
@@ -83,7 +83,7 @@ def of_log(
     sample["log_likelihood"] = sample["log_likelihood"] * len(rows)
     for name in ("fault", "late"):  # of the run as a whole: said once
         sample[name][1:] = 0
-    return sample | {name: field.of(whole).repeat(len(rows)) for name, field in COST.items()}
+    return sample | {name: field.values(whole).repeat(len(rows)) for name, field in COST.items()}
 
 
 def most_parts(traces: Traces, settled: Bool[Mask, " time"]) -> int:

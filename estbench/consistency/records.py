@@ -33,7 +33,7 @@ SUMMARY: dict[str, Recorded] = {
     **{
         f"inside_{k}": Recorded(
             COORDINATE, "f8", f"share of the steps with |error| <= {k}σ",
-            lambda b, i=i: b.inside[..., i],
+            lambda b, i=i: b.inside(i),
         )
         for i, k in enumerate(SIGMAS)
     },
@@ -265,7 +265,7 @@ def reduce(
         keep: as of `fields`.
         phases: phase of contact of each instant, where it is known.
     """
-    window = round(section.divergence_duration / np.diff(times).mean())
+    window = divergence_window(times, section)
     normalized = traces.nees / np.maximum(traces.rank, 1)
     lost = diverged_runs(normalized, section.divergence_threshold, window)
     batch = BatchTraces(
@@ -277,7 +277,13 @@ def reduce(
         phases=phases,
     )
     recorded = SUMMARY | COST | _traces(keep)
-    return {name: variable.of(batch) for name, variable in recorded.items()}
+    return {name: variable.values(batch) for name, variable in recorded.items()}
+
+
+def divergence_window(times: Float[Array, " time"], section: ConsistencySection) -> int:
+    """Steps above the threshold after which a run has diverged: at least 1, at most all."""
+    window = round(section.divergence_duration / np.diff(times).mean())
+    return max(1, min(window, len(times)))
 
 
 def merge(records: list[Record]) -> Record:

@@ -1,6 +1,6 @@
 """The truth of some runs, and an estimator that follows it: who the controller sees decides how."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +8,8 @@ import numpy as np
 from estbench.errors import EstbenchError, EstimatorError, user_error_location
 from estbench.estimators.beliefs import Fault
 from estbench.experiment.prepared import Setup
-from estbench.inference.event_loop import Source, run_filter
+from estbench.inference import event_loop
+from estbench.inference.event_loop import Source
 from estbench.inference.traces import Traces
 from estbench.randomness import streams
 from estbench.scenario.reference import LABEL
@@ -74,14 +75,29 @@ def followed(
     Raises:
         EstimatorError: the estimator raised.
     """
+    whole = in_windows(prepared, label, runs, source, None, keep_cov, keep_innovations, stop)
+    return next(whole, None)
+
+
+def in_windows(
+    prepared: Setup,
+    label: str,
+    runs: Sequence[int],
+    source: Source,
+    length: int | None,
+    keep_cov: bool = False,
+    keep_innovations: bool = False,
+    stop: Stop = lambda: False,
+) -> Iterator[Traces]:
+    """`followed`, one window of so many instants after the other; see `event_loop.followed`."""
     mean, cov = (np.repeat(a[None], len(runs), axis=0) for a in prepared.prior(label))
     keys = streams.run_keys(prepared.scenario.simulation.seed, runs, f"estimator:{label}")
     estimator = prepared.estimator(label)
     try:
-        return run_filter(
+        yield from event_loop.followed(
             estimator, prepared.space, (mean, cov), source, prepared.channel_spaces,
             delays=prepared.delays(label), keys=keys, keep_cov=keep_cov,
-            keep_innovations=keep_innovations, stop=stop,
+            keep_innovations=keep_innovations, stop=stop, length=length,
         )  # fmt: skip
     except (EstbenchError, MemoryError):
         raise

@@ -111,7 +111,7 @@ def followed(
     Args:
         estimator, space, prior, source, channels: as for `run_filter`.
         delays, keys: likewise.
-        keep_cov, keep_innovations: of one window only.
+        keep_cov, keep_innovations: where one window is all.
         stop: asked at every instant; True ends it.
         length: of a window, instants; None is all.
     """

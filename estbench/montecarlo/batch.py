@@ -7,10 +7,11 @@ import numpy as np
 
 from estbench.bounds import scenario as bounds
 from estbench.consistency import records
-from estbench.experiment import contact, setup
+from estbench.experiment import contact, long, setup
 from estbench.experiment.recording import blamed, estimated, recorded
 from estbench.inference.innovations import readings
 from estbench.inference.traces import Traces
+from estbench.montecarlo import windows
 
 BATCH_BYTES = 64 * 2**20
 """Memory that the traces of one batch may take."""
@@ -112,6 +113,9 @@ def run_batch(
     prepared: setup.Setup, runs: Sequence[int], keep: str, stop: Callable[[], bool] = lambda: False
 ) -> Batch | None:
     """Simulate some runs and every estimator on them; None when stopped."""
+    if long.windowed(prepared, keep):
+        found = windows.run_batch(prepared, runs, stop)
+        return None if found is None else Batch({}, found)
     out, contacts = {}, None
     own_truth = prepared.scenario.control.observe == "estimate"
     truth: records.Record = {}

@@ -18,7 +18,7 @@ def test_runs_of_few_instants_leave_blocks_empty():
     times = np.array([0.0, 0.1, 0.2, 0.3])
     members = np.array([b.members(times) for b in blocks(times)])
     np.testing.assert_array_equal(members.sum(axis=0), [0, 1, 1, 1])
-    found = means(np.arange(8.0).reshape(4, 2), np.ones((4, 2), bool), list(members))
+    found = means(np.arange(8.0).reshape(4, 2), np.ones((4, 2), bool), list(members)).value
     assert found.shape == (2, COUNT)
     assert np.isnan(found).sum() == 2 * (COUNT - 3)
     assert sorted(found[1][np.isfinite(found[1])]) == [3.0, 5.0, 7.0]
@@ -29,7 +29,7 @@ def test_means_by_hand():
     counted = np.isfinite(values)
     counted[2, 0, 0] = False
     first, second = np.array([[True, True, False, False], [False, False, True, True]])
-    found = means(values, counted, [first, second, first & second])
+    found = means(values, counted, [first, second, first & second]).value
     np.testing.assert_array_equal(found, [[[2.0, 9.0], [np.nan, 4.0], [np.nan, np.nan]]])
 
 

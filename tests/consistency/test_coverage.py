@@ -13,8 +13,8 @@ def test_inside_by_hand():
     error = np.array([[[0.5], [-2.0]], [[-1.0], [np.nan]], [[2.5], [1.0]], [[3.5], [6.0]]])
     std = np.array([[[1.0], [1.0]], [[1.0], [1.0]], [[1.0], [0.0]], [[1.0], [2.0]]])
     # (step, run, coordinate); run 0: 0.5 1 2.5 3.5, run 1: 2 NaN (known exactly) 3
-    np.testing.assert_allclose(inside(error, std)[:, 0], [[0.5, 0.5, 0.75], [0.0, 1 / 3, 2 / 3]])
-    assert np.isnan(inside(error, np.zeros_like(std))).all()  # no step counts
+    np.testing.assert_allclose(inside(error, std).value[:, 0], [[0.5, 0.5, 0.75], [0.0, 1 / 3, 2 / 3]])
+    assert np.isnan(inside(error, np.zeros_like(std)).value).all()  # no step counts
 
 
 def test_mean_and_interval_across_runs():
@@ -39,7 +39,7 @@ def test_normal_errors_are_inside_as_often_as_expected():
     missed = np.zeros(3)
     for _ in range(400):
         std = rng.uniform(0.5, 2, (1, 20, 2))
-        shares = inside(std * rng.standard_normal((100, 20, 2)), np.broadcast_to(std, (100, 20, 2)))
+        shares = inside(std * rng.standard_normal((100, 20, 2)), np.broadcast_to(std, (100, 20, 2))).value
         missed += [not ok for ok in coverage(shares).as_expected]
     assert (np.abs(missed[:2] - 20) < 27).all()
     assert missed[2] < 20 + 20 + 27
@@ -47,6 +47,6 @@ def test_normal_errors_are_inside_as_often_as_expected():
 
 def test_a_filter_that_reports_half_its_error():
     error = np.random.default_rng(2).standard_normal((500, 40, 1))
-    found = coverage(inside(error, np.full_like(error, 0.5)))
+    found = coverage(inside(error, np.full_like(error, 0.5)).value)
     assert found.shares[1].value == pytest.approx(EXPECTED[0], abs=0.02)
     assert not any(found.as_expected)
