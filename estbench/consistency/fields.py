@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estbench.consistency.blocks import Block, means
 from estbench.consistency.coverage import inside
-from estbench.consistency.sums import Mean, Ratio, Sum, Total
+from estbench.consistency.sums import Around, Mean, Ratio, Sum, Total
 from estbench.inference.traces import Traces
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask, Shaped
 
@@ -70,6 +70,7 @@ class BatchTraces:
         diverged: runs that count in no sum over runs.
         blocks: of the settled instants.
         phases: phase of contact of each instant (see `phases.PHASES`); None if it is not known.
+        since: of a window of a run: the runs with an event of contact before it; None for none.
     """
 
     traces: Traces
@@ -78,6 +79,7 @@ class BatchTraces:
     diverged: Bool[Mask, " run"]
     blocks: tuple[Block, ...]
     phases: Bool[Mask, "time run phase"] | None = None
+    since: Bool[Mask, " run"] | None = None
 
     @property
     def n(self) -> int:
@@ -172,17 +174,20 @@ class BatchTraces:
         totals, numbers = ([getattr(m, name) for m in found] for name in ("total", "number"))
         return Mean(np.concatenate(totals, axis=1), np.concatenate(numbers, axis=1))
 
-    def around_contact(self, values: Float[Array, "time run"]) -> Float[Array, "run 2"]:
+    def around_contact(self, values: Float[Array, "time run"]) -> Around:
         """Mean over the settled instants before the first event of contact, and from it on.
 
         Its window belongs to the event. NaN for a run without an event.
         """
         if self.phases is None:
-            return np.full((self.runs, 2), np.nan)
-        since = np.maximum.accumulate(self.phases[..., PHASES.index("event")], axis=0)
-        parts = [means(values, part & since[-1] & self.judged, [self.settled]).value[:, 0]
+            return Around(Mean(np.zeros((self.runs, 2)), 0), np.zeros(self.runs, bool))
+        event = self.phases[..., PHASES.index("event")]
+        since = np.logical_or.accumulate(event, axis=0)
+        since = since if self.since is None else since | self.since
+        parts = [_mean(values[self.settled], (part & self.judged)[self.settled])
                  for part in (~since, since)]  # fmt: skip
-        return np.stack(parts, axis=-1)
+        totals, numbers = ([getattr(m, name) for m in parts] for name in ("total", "number"))
+        return Around(Mean(np.stack(totals, axis=-1), np.stack(numbers, axis=-1)), since[-1])
 
     def phase_steps(self) -> Total:
         """How many settled instants each phase has; 0 where the phases are not known."""

@@ -75,6 +75,7 @@ def phases(
     touching: Bool[Mask, "time run"],
     event: Bool[Mask, "time run"],
     window: float,
+    last: Float[Array, " run"] | float = -np.inf,
 ) -> Bool[Mask, "time run phase"]:
     """The phase of each instant, in the order of `PHASES`.
 
@@ -83,9 +84,10 @@ def phases(
         touching: whether the robot touches anything.
         event: whether an event happens.
         window: s before and after an event that belong to it.
+        last: time of the last event before these instants, s.
     """
     t = times[:, None]
-    last = np.maximum.accumulate(np.where(event, t, -np.inf))
+    last = np.maximum(np.maximum.accumulate(np.where(event, t, -np.inf)), last)
     following = np.minimum.accumulate(np.where(event, t, np.inf)[::-1])[::-1]
     near = np.minimum(t - last, following - t) <= window * (1 + 1e-9) + 1e-12
     return np.stack([~near & ~touching, ~near & touching, near], axis=-1)

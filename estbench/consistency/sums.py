@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estbench.shapes import Array
+from estbench.shapes import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,4 +67,25 @@ class Ratio:
             return self.above.value / self.below.value
 
 
-Sum = Total | Mean | Ratio
+@dataclass(frozen=True, eq=False)
+class Around:
+    """Averages before an event, and from it on.
+
+    Attributes:
+        sides: both `(run, 2)`.
+        happened: runs with an event `(run,)`.
+    """
+
+    sides: Mean
+    happened: Mask
+
+    def __add__(self, other: "Around") -> "Around":
+        return Around(self.sides + other.sides, self.happened | other.happened)
+
+    @property
+    def value(self) -> Array:
+        """The averages; NaN for a run without an event."""
+        return np.where(self.happened[:, None], self.sides.value, np.nan)
+
+
+Sum = Total | Mean | Ratio | Around

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from estbench.consistency import blocks
-from estbench.consistency.fields import BatchTraces, Record
+from estbench.consistency.fields import PHASES, BatchTraces, Record
 from estbench.consistency.nees import lasting
 from estbench.consistency.records import COST, SUMMARY, divergence_window
 from estbench.consistency.sums import Sum
 from estbench.estimators.beliefs import Fault
 from estbench.inference.traces import Traces
 from estbench.scenario.schema import ConsistencySection
-from estbench.shapes import Array, Float, Int, Ints
+from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 
 AT_TIMES = ("truth", "mean", "error", "std", "nees", "rank", "along", "bound", "expected")
 AT_INSTANTS = ("nis", "dof", "log_likelihood", "gated", "channel_nis")
@@ -45,25 +45,35 @@ class Windows:
         self._sums: dict[str, Sum] | None = None
         self._parts: dict[str, list[Array]] = {name: [] for name in AT_TIMES + AT_INSTANTS}
         self._above = np.zeros((0, 0), bool)
-        self._lost = np.zeros(0, bool)
+        self._lost = self._since = np.zeros(0, bool)
         self._last: Traces | None = None
         self._next = 0  # the time of the first row of the next window
 
-    def add(self, traces: Traces) -> None:
-        """Add a window. It begins with the last time of the one before, which does not count."""
+    def add(self, traces: Traces, phases: Bool[Mask, "time run phase"] | None = None) -> None:
+        """Add a window. It begins with the last time of the one before, which does not count.
+
+        Args:
+            traces: of the window.
+            phases: phase of contact of each of its instants, where it is known.
+        """
         first, stop = self._next, self._next + len(traces.nees)
         if not first:
             runs = traces.nees.shape[1]
             self._above, self._lost = np.zeros((0, runs), bool), np.zeros(runs, bool)
+            self._since = np.zeros(runs, bool)
         times, settled = self._times[first:stop].copy(), self._settled[first:stop].copy()
         times[0], settled[0] = 0.0, False
-        batch = BatchTraces(traces, times, settled, np.zeros_like(self._lost), self._blocks)
+        batch = BatchTraces(
+            traces, times, settled, np.zeros_like(self._lost), self._blocks, phases, self._since
+        )
         if self._sums is None:
             found = {name: variable.of(batch) for name, variable in SUMMARY.items()}
             self._sums = {k: v for k, v in found.items() if not isinstance(v, np.ndarray)}
         else:
             for name, before in self._sums.items():
                 self._sums[name] = before + SUMMARY[name].of(batch)  # type: ignore[operator]
+        if phases is not None:
+            self._since = self._since | phases[..., PHASES.index("event")].any(axis=0)
         new = 0 if not first else 1
         above = batch.normalized[new:] > self._section.divergence_threshold
         above = np.concatenate([self._above, above])

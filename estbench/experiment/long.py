@@ -22,8 +22,8 @@ def windowed(setup: Setup, keep: str) -> bool:
     """Whether the memory of a run does not grow with its length.
 
     A run is held as a whole where something needs it: its traces are kept, an estimator looks back,
-    the controller sees an estimate, phases of contact look ahead, or the bound has to know which
-    readings are still on their way.
+    the controller sees an estimate, or readings are late: the bound has to know which are on their
+    way, and windows of the estimators would end before those of the phases of contact.
 
     Args:
         setup: the experiment.
@@ -34,13 +34,14 @@ def windowed(setup: Setup, keep: str) -> bool:
     scenario = setup.scenario
     if setup.reference is not None or scenario.control.observe == "estimate":
         return False
-    if watched(scenario, setup.plant.model):
-        return False
     if any(hasattr(setup.estimator(label), "smooth") for label in scenario.estimators):
+        return False
+    watching = watched(scenario, setup.plant.model)
+    if watching and scenario.contact.steps * setup.plant.nstep >= WINDOW:
         return False
     late = not all(c.timing.punctual for c in setup.channels)
     late |= any(setup.delays(label).window for label in scenario.estimators)
-    return not (scenario.bound and late)
+    return not ((scenario.bound or watching) and late)
 
 
 def sampled(setup: Setup, keep: str) -> Int[Ints, " kept"]:

@@ -8,6 +8,8 @@ from estbench.bounds.passing import PassingBound
 from estbench.consistency.fields import Record
 from estbench.consistency.windows import Windows
 from estbench.experiment import long, recording
+from estbench.experiment.build import watched
+from estbench.experiment.contact import PassingContacts
 from estbench.experiment.prepared import Setup
 from estbench.simulation.sources import Passing
 
@@ -25,14 +27,22 @@ def run_batch(
         label: recording.in_windows(prepared, label, runs, truth, long.WINDOW, stop=stop)
         for label in labels
     }
+    contacts = None
+    if watched(prepared.scenario, prepared.plant.model):
+        contacts = PassingContacts(prepared, runs)
+    first = 0
     while not all(windows.finished for windows in found.values()):
-        happened = truth.forward(stop)
-        if happened is None:
+        if not truth.forward(stop):
             return None
-        values = None if bound is None else bound.forward(happened)
+        x, ahead, phases = truth.now.x, truth.ahead and truth.ahead.x, None
+        values = None if bound is None else bound.forward(truth.now)
+        if contacts is not None:
+            count = len(x) + (0 if ahead is None else len(ahead) - 1)
+            phases = contacts.forward(x, ahead, times[first : first + count])
+        first += len(x) - 1
         for label, windows in found.items():
             traces = next(going[label], None)
             if traces is None:
                 return None
-            windows.add(replace(traces, bound=values))
+            windows.add(replace(traces, bound=values), phases)
     return {label: windows.record(truth.ended) for label, windows in found.items()}

@@ -167,6 +167,8 @@ class Passing:
         length: of a window, instants.
 
     Attributes:
+        now: the window that is followed; its first state is the last of the one before.
+        ahead: the window after it; None at the end.
         ended: the first time, by its index, at which a run has no truth, -1 for none `(run,)`.
     """
 
@@ -174,34 +176,47 @@ class Passing:
         self.events, self.x0 = live.events, live.x0
         self.ended = np.full(len(live.x0), -1)
         self._live, self._length = live, length
-        self._first = self._next = 0
-        self._now = Trajectory(live.x0[None], np.empty((0, len(live.x0), 0)), [])
+        self._first = self._next = 0  # of the window that is followed, and of the one after it
+        self._simulated = 0
+        self.now = Trajectory(live.x0[None], np.empty((0, len(live.x0), 0)), [])
+        self.ahead: Trajectory | None = self.now
 
-    def forward(self, stop: Callable[[], bool] = lambda: False) -> Trajectory | None:
-        """The next window, which begins where the last one ended; None when stopped."""
-        self._first = self._next
-        self._next = min(self._first + self._length, len(self.events))
-        x, u, deliveries = [self._now.x[-1]], [], []
-        for k in range(self._first, self._next):
+    def forward(self, stop: Callable[[], bool] = lambda: False) -> bool:
+        """Go on to the next window; False when stopped."""
+        if not self._simulated and not self._simulate(stop):
+            return False
+        assert self.ahead is not None  # before the end
+        self.now, self._first, self._next = self.ahead, self._next, self._simulated
+        return self._simulate(stop)
+
+    def _simulate(self, stop: Callable[[], bool]) -> bool:
+        """Simulate the window after those that are known; False when stopped."""
+        first, last = self._simulated, min(self._simulated + self._length, len(self.events))
+        if first == last:
+            self.ahead = None
+            return True
+        assert self.ahead is not None
+        x, u, deliveries = [self.ahead.x[-1]], [], []
+        for k in range(first, last):
             if stop():
-                return None
+                return False
             u.append(self._live.control(k, x[-1]))
             now, arrived = self._live.advance(k, u[-1])
             x.append(now)
             deliveries.append(arrived)
-        self._now = Trajectory(np.stack(x), np.stack(u), deliveries)
-        gone = ~np.isfinite(self._now.x).all(axis=-1)
+        self.ahead, self._simulated = Trajectory(np.stack(x), np.stack(u), deliveries), last
+        gone = ~np.isfinite(self.ahead.x).all(axis=-1)
         new = gone.any(axis=0) & (self.ended < 0)
-        self.ended[new] = self._first + gone.argmax(axis=0)[new]
-        return self._now
+        self.ended[new] = first + gone.argmax(axis=0)[new]
+        return True
 
     def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
         """The control, of the window that is known."""
-        return self._now.u[k - self._first]
+        return self.now.u[k - self._first]
 
     def advance(
         self, k: int, u: Float[Array, "run nu"]
     ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
         """The state and the readings, of the window that is known."""
         place = k - self._first
-        return self._now.x[place + 1], self._now.deliveries[place]
+        return self.now.x[place + 1], self.now.deliveries[place]
