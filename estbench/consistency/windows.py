@@ -93,15 +93,18 @@ class Windows:
         """Whether the last window has been added."""
         return self._next == len(self._times) - 1
 
-    def record(self, ended: Int[Ints, " run"]) -> Record:
+    def record(self, ended: Int[Ints, " run"], lost: Bool[Mask, " run"]) -> Record:
         """The record of the batch.
 
         Args:
             ended: index of the first time at which a run has no truth, -1 for none.
+            lost: of these the runs that have none for want of a reference.
         """
         assert self._last is not None and self._sums is not None
-        failed = ended >= 0
-        fault = np.where(failed, Fault.TRUTH, self._last.fault).astype(self._last.fault.dtype)
+        failed = (ended >= 0) & ~lost  # as `recording.blamed` has it
+        fault = np.where(failed, Fault.TRUTH, self._last.fault)
+        fault = np.where(lost & (fault == Fault.TRUTH), Fault.REFERENCE, fault)
+        fault = fault.astype(self._last.fault.dtype)
         whole = replace(
             self._last,
             fault=fault,

@@ -22,7 +22,7 @@ def windowed(setup: Setup, keep: str) -> bool:
     """Whether the memory of a run does not grow with its length.
 
     A run is held as a whole where something needs it: its traces are kept, an estimator looks back,
-    the controller sees an estimate, or readings are late: the bound has to know which are on their
+    the controller sees its estimate, or readings are late: the bound has to know which are on their
     way, and windows of the estimators would end before those of the phases of contact.
 
     Args:
@@ -32,7 +32,7 @@ def windowed(setup: Setup, keep: str) -> bool:
     if keep != "summary" or len(setup.instants) <= WHOLE or setup.timeline is not None:
         return False
     scenario = setup.scenario
-    if setup.reference is not None or scenario.control.observe == "estimate":
+    if scenario.control.observe == "estimate":
         return False
     if any(hasattr(setup.estimator(label), "smooth") for label in scenario.estimators):
         return False

@@ -11,6 +11,7 @@ from estbench.experiment import long, recording
 from estbench.experiment.build import watched
 from estbench.experiment.contact import PassingContacts
 from estbench.experiment.prepared import Setup
+from estbench.scenario.reference import LABEL
 from estbench.simulation.sources import Passing
 
 
@@ -19,6 +20,10 @@ def run_batch(
 ) -> dict[str, Record] | None:
     """The record of every estimator on some long runs (`long.windowed`); None when stopped."""
     truth = Passing(recording.driven(prepared, runs), long.WINDOW)
+    if prepared.reference is not None:
+        truth.reference = recording.in_windows(
+            prepared.reference, LABEL, runs, truth.robots, long.WINDOW, stop=stop
+        )
     bound = PassingBound(prepared, runs, truth.x0) if bounds.wanted(prepared) else None
     sample, section = long.sampled(prepared, "summary"), prepared.scenario.consistency
     times, labels = prepared.times, prepared.scenario.estimators
@@ -45,4 +50,4 @@ def run_batch(
             if traces is None:
                 return None
             windows.add(replace(traces, bound=values), phases)
-    return {label: windows.record(truth.ended) for label, windows in found.items()}
+    return {label: windows.record(truth.ended, truth.lost) for label, windows in found.items()}

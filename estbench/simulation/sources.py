@@ -3,12 +3,14 @@
 Arrays are time-major `(instant, run, ...)`: the event loop works on one instant of all runs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import overload
 
 import numpy as np
 
+from estbench.estimators.beliefs import Fault
+from estbench.inference.traces import Traces
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.sensors.timing import Instant
@@ -158,9 +160,7 @@ def finite(x: Float[Array, "run nx"], fallback: Float[Array, "run nx"]) -> Float
 
 
 class Passing:
-    """A trajectory of which one window is known at a time: the same for all who follow in step.
-
-    The controller sees the true state.
+    """A trajectory of which two windows are known at a time: the same for all who follow in step.
 
     Args:
         live: the robots at their start.
@@ -170,14 +170,18 @@ class Passing:
         now: the window that is followed; its first state is the last of the one before.
         ahead: the window after it; None at the end.
         ended: the first time, by its index, at which a run has no truth, -1 for none `(run,)`.
+        lost: of these the runs whose reference estimator failed `(run,)`.
+        reference: traces of the estimator whose estimate the controller sees, window after window,
+            on `robots`; None if the controller sees the true state.
+        robots: the source of that estimator.
     """
 
     def __init__(self, live: Live, length: int):
         self.events, self.x0 = live.events, live.x0
-        self.ended = np.full(len(live.x0), -1)
-        self._live, self._length = live, length
-        self._first = self._next = 0  # of the window that is followed, and of the one after it
-        self._simulated = 0
+        self.ended, self.lost = np.full(len(live.x0), -1), np.zeros(len(live.x0), bool)
+        self.robots, self._length = _Window(live), length
+        self.reference: Iterator[Traces] | None = None
+        self._first = self._next = self._simulated = 0  # instants
         self.now = Trajectory(live.x0[None], np.empty((0, len(live.x0), 0)), [])
         self.ahead: Trajectory | None = self.now
 
@@ -195,19 +199,23 @@ class Passing:
         if first == last:
             self.ahead = None
             return True
-        assert self.ahead is not None
-        x, u, deliveries = [self.ahead.x[-1]], [], []
-        for k in range(first, last):
-            if stop():
-                return False
-            u.append(self._live.control(k, x[-1]))
-            now, arrived = self._live.advance(k, u[-1])
-            x.append(now)
-            deliveries.append(arrived)
-        self.ahead, self._simulated = Trajectory(np.stack(x), np.stack(u), deliveries), last
-        gone = ~np.isfinite(self.ahead.x).all(axis=-1)
+        traces, robots = None, self.robots
+        if self.reference is None:
+            for k in range(first, last):
+                if stop():
+                    return False
+                robots.advance(k, robots.control(k, robots.x[-1]))
+        elif (traces := next(self.reference, None)) is None:
+            return False
+        window = robots.take()
+        if traces is not None:
+            self.lost = (traces.fault != Fault.NONE) & (traces.fault != Fault.TRUTH)
+            for run in np.flatnonzero(self.lost):
+                window.x[max(traces.fault_step[run] + 1 - first, 0) :, run] = np.nan
+        gone = ~np.isfinite(window.x).all(axis=-1)
         new = gone.any(axis=0) & (self.ended < 0)
         self.ended[new] = first + gone.argmax(axis=0)[new]
+        self.ahead, self._simulated = window, last
         return True
 
     def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
@@ -220,3 +228,31 @@ class Passing:
         """The state and the readings, of the window that is known."""
         place = k - self._first
         return self.now.x[place + 1], self.now.deliveries[place]
+
+
+class _Window:
+    """A live source that notes what happens since it was asked."""
+
+    def __init__(self, live: Live):
+        self.events, self.x0, self._live = live.events, live.x0, live
+        self.x, self._u, self._deliveries = [live.x0], list[Array](), list[list[Delivery]]()
+
+    def control(self, k: int, estimate: Float[Array, "run nx"]) -> Float[Array, "run nu"]:
+        """The controller's answer to the states that it sees."""
+        return self._live.control(k, estimate)
+
+    def advance(
+        self, k: int, u: Float[Array, "run nu"]
+    ) -> tuple[Float[Array, "run nx"], list[Delivery]]:
+        """Step the robots, and note it."""
+        x, arrived = self._live.advance(k, u)
+        self.x.append(x)
+        self._u.append(u)
+        self._deliveries.append(arrived)
+        return x, arrived
+
+    def take(self) -> Trajectory:
+        """What has happened; the next begins with its last state."""
+        found = Trajectory(np.stack(self.x), np.stack(self._u), self._deliveries)
+        self.x, self._u, self._deliveries = self.x[-1:], [], []
+        return found
