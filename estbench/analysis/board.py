@@ -169,7 +169,7 @@ def _row(board: Board, rank: Rank, summary: Summary) -> dict[str, Any]:
     r = board.results
     row: dict[str, Any] = {
         "scenario": board.name, "seed": r.scenario.simulation.seed, "runs": len(r.runs),
-        "duration_s": f"{r.times[-1]:g}", "steps": len(r.times) - 1, "estimator": summary.label,
+        "duration_s": f"{r.times[-1]:g}", "steps": r.instants, "estimator": summary.label,
         "rank": rank.place, "last_rank": rank.last, "tied": int(rank.tied),
         "verdict": str(summary.verdict), "rmse_ratio_to_first": _cell(rank.ratio.value),
         **provenance(r.scenario)["versions"],

@@ -142,7 +142,7 @@ def _contest(stores: Sequence[Stored], level: float, margin: float, precision: f
         likely[f.key] = np.where(lost, np.nan, _optional(f, "log_likelihood")[where])
         received[f.key] = _optional(f, "received")[where]
     pairs, ranks = compare(scores, level, margin)
-    length = f"{first.times[-1]:g} s ({len(first.times) - 1} instants)"
+    length = f"{first.times[-1]:g} s ({first.instants} instants)"
     seed = first.scenario.simulation.seed
     return Contest(
         title=f"{first.scenario.name}: "

@@ -85,6 +85,11 @@ class Stored:
         return f"log {', '.join(self.log['files'])}, one run in {count} parts{held}{truth}"
 
     @property
+    def instants(self) -> int:
+        """Instants of a run, of which a long one has times for a sample only."""
+        return int(self.attrs.get("instants", len(self.times) - 1))
+
+    @property
     def n(self) -> int:
         """Dimension of the tangent space."""
         return len(self.names)
@@ -189,7 +194,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
         summaries = {
             label: summarize(
                 label, record, numbers[done].tolist(), times, scenario.consistency, names,
-                channels, scenario.contact,
+                channels, scenario.contact, instants=attrs.get("instants"),
             )
             for label, record in records.items()
         }  # fmt: skip

@@ -32,6 +32,7 @@ def summarize(
     contact: ContactSection = PHASES_BY_DEFAULT,
     judged: tuple[Judgement, str] | None = None,
     truth: bool = True,
+    instants: int | None = None,
 ) -> Summary:
     """The summary of one estimator.
 
@@ -39,15 +40,16 @@ def summarize(
         label: the estimator's label.
         record: as `records.merge` gives it.
         runs: numbers of the runs in the record.
-        times: of the instants and the start, s.
+        times: of the instants and the start, s; of a long run those of a sample.
         section: level and tolerance of the verdict.
         names: of the coordinates.
         channels: their names; empty for a store of an earlier version.
         contact: which events of contact have a phase.
         judged: the judgement and its reason, if they are not those of the record.
         truth: whether it is known.
+        instants: of a run; default one for each of the times but the start.
     """
-    sample = Sample(record, section.level, len(times) - 1)
+    sample = Sample(record, section.level, instants or len(times) - 1)
     values: dict[str, Any] = {
         s.name: s.of(sample) if s.variables.keys() <= record.keys() else _unknown(s, record)
         for s in statistics.STATISTICS

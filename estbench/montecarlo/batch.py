@@ -24,6 +24,8 @@ INSTANT_BYTES = 800
 COPIES = 4
 """Size of all that exists at once of a batch, its truth and the reduction of its traces included,
 over that of the traces."""
+LONG_INSTANT_BYTES = 80
+"""Memory of an instant of a long run that is computed window after window: its ticks and times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +67,13 @@ def default_batch_size(prepared: setup.Setup, keep: str, parts: int = 4) -> int:
 
 
 def run_bytes(prepared: setup.Setup, keep: str) -> int:
-    """Memory of the traces of one run."""
+    """Memory of the traces of one run, of a long one those of a window."""
     space, m = prepared.space, len(readings(prepared.channel_spaces))
     a_step = 2 * space.nx + 3 * space.n + 4
     if keep == "full":
         a_step += space.n**2 + m + m**2
-    return 8 * a_step * len(prepared.times) * max(1, len(prepared.scenario.estimators))
+    held = long.held_instants(prepared, keep)
+    return 8 * a_step * held * max(1, len(prepared.scenario.estimators))
 
 
 def held_bytes(prepared: setup.Setup, keep: str, size: int) -> int:
@@ -81,9 +84,15 @@ def held_bytes(prepared: setup.Setup, keep: str, size: int) -> int:
         keep: what is stored of each run; with `summary` one estimator has its traces at a time.
         size: runs of the batch.
     """
-    together = max(1, len(prepared.scenario.estimators)) if keep == "summary" else 1
+    count, held = len(prepared.scenario.estimators), long.held_instants(prepared, keep)
+    windowed = long.windowed(prepared, keep)
+    together = max(1, count) if keep == "summary" and not windowed else 1
     a_run = COPIES * run_bytes(prepared, keep) // together
     a_run += working_bytes(prepared) + history_bytes(prepared)
+    if windowed:  # the sample, and two windows of the truth
+        kept = len(long.sampled(prepared, keep))
+        a_run += int(run_bytes(prepared, keep) * COPIES * kept / held)
+        return size * a_run + 2 * INSTANT_BYTES * held + LONG_INSTANT_BYTES * len(prepared.times)
     return size * a_run + INSTANT_BYTES * len(prepared.times)
 
 

@@ -9,6 +9,7 @@ from estbench.consistency.fields import Record
 from estbench.consistency.records import merge
 from estbench.consistency.summary import summarize
 from estbench.errors import Interrupted, StoreError
+from estbench.experiment.long import sampled_times
 from estbench.experiment.setup import Setup
 from estbench.montecarlo import dispatch
 from estbench.montecarlo.dispatch import Progress, Say
@@ -67,7 +68,7 @@ def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
         done, failed, interrupted = dispatch.compute(
             prepared, wanted, plan.level, plan.using, None, done, plan.progress
         )
-        return _collect(prepared, batches, done, failed, None, interrupted)
+        return _collect(prepared, batches, plan.level, done, failed, None, interrupted)
     target = _open(plan.out, prepared, plan)
     with target.lock(plan.shard):
         corrupted = _read(target, done)
@@ -87,7 +88,7 @@ def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
                 target.discard()
     again = [i for i in corrupted if i in wanted]
     return _collect(
-        prepared, target.batches, done, failed, target, interrupted,
+        prepared, target.batches, target.keep, done, failed, target, interrupted,
         [
             *(plan.notices if target.keep == plan.level else ()),
             *([mixed] if mixed else ()),
@@ -129,6 +130,7 @@ def _read(target: Store, done: Done) -> list[int]:
 def _collect(
     prepared: Setup,
     batches: Sequence[range],
+    keep: str,
     done: dict[int, dict[str, Record]],
     failed: dict[int, Exception],
     target: Store | None,
@@ -145,24 +147,26 @@ def _collect(
     merged = {
         label: merge([done[i][label] for i in order]) for label in prepared.scenario.estimators
     }
-    section = prepared.scenario.consistency
+    section, times = prepared.scenario.consistency, sampled_times(prepared, keep)
     return Results(
         scenario=prepared.scenario,
         names=prepared.space.names,
         units=prepared.space.units,
-        times=prepared.times,
+        times=times,
         steps=prepared.steps,
+        instants=len(prepared.instants),
         runs=tuple(runs),
         summaries=tuple(
             summarize(
                 label,
                 record,
                 runs,
-                prepared.times,
+                times,
                 section,
                 prepared.space.names,
                 tuple(prepared.channel_spaces),
                 prepared.scenario.contact,
+                instants=len(prepared.instants),
             )
             for label, record in merged.items()
         ),

@@ -56,8 +56,9 @@ class Results:
     Attributes:
         scenario: as resolved.
         names, units: of the tangent coordinates.
-        times: instants, s.
+        times: instants, s; of a long run those of a sample (`experiment.long`).
         steps: control steps of each run; readings between them add instants.
+        instants: of each run.
         runs: numbers of the finished runs.
         summaries: one per estimator.
         records: label -> per-run and per-step arrays (`records.SUMMARY`).
@@ -72,6 +73,7 @@ class Results:
     units: tuple[str, ...]
     times: Array
     steps: int
+    instants: int
     runs: tuple[int, ...]
     summaries: tuple[Summary, ...]
     records: dict[str, Record]
@@ -89,8 +91,7 @@ class Results:
     @property
     def length(self) -> str:
         """Length of each run: control steps, and instants if readings fall between steps."""
-        instants = len(self.times) - 1
-        between = "" if instants == self.steps else f", {instants} instants"
+        between = "" if self.instants == self.steps else f", {self.instants} instants"
         return f"{self.steps} steps{between}"
 
     def render(self) -> Group:

@@ -129,7 +129,7 @@ def facts(source: Stored) -> Facts:
     rows = [
         *of_log,
         ("runs", count),
-        ("duration", f"{source.times[-1]:g} s in {len(source.times) - 1} instants"),
+        ("duration", f"{source.times[-1]:g} s in {source.instants} instants"),
         *(
             []
             if log

@@ -39,6 +39,8 @@ KINDS = {
     "user": "`function` = module:function(t, x) -> u, with x (run, nx) and u (run, nu)",
 }
 
+BLOCK = 8192
+"""Steps of a random control that are drawn at a time."""
 CLOSED_LOOP = ("lqr", "user")
 """The kinds whose control may depend on the state that they see."""
 
@@ -90,11 +92,9 @@ def build(
         return _sine(section, centre, names, shape)
     if section.kind == "random":
         std = expand(section.std, names, "control.std")
-        smooth = _gauss_markov(
-            streams.normals(seed, runs, "control", steps, plant.model.nu),
-            np.exp(-plant.period / section.time_constant),
-        )
-        return lambda k, t, x: centre + std * smooth[k]
+        correlation = float(np.exp(-plant.period / section.time_constant))
+        smooth = _GaussMarkov(seed, runs, steps, plant.model.nu, correlation)
+        return lambda k, t, x: centre + std * smooth(k)
     if section.kind == "lqr":
         gain = lqr_gain(plant, section)
         return lambda k, t, x: plant.u0 - row_product(plant.space.minus(x, plant.x0), gain)
@@ -219,15 +219,52 @@ def _sine(
     return sine
 
 
-def _gauss_markov(
-    white: Float[Array, "step run nu"], correlation: float
-) -> Float[Array, "step run nu"]:
-    """Unit-variance first-order Gauss-Markov sequence from standard normals."""
-    out = white * np.sqrt(1.0 - correlation**2)
-    out[:1] = white[:1]
-    for k in range(1, len(out)):
-        out[k] += correlation * out[k - 1]
-    return out
+class _GaussMarkov:
+    """Unit-variance first-order Gauss-Markov sequences, `BLOCK` steps at a time.
+
+    Args:
+        seed: of the streams.
+        runs: their numbers.
+        steps: how many there are.
+        width: numbers per step.
+        correlation: from one step to the next.
+    """
+
+    def __init__(
+        self, seed: int, runs: Sequence[int], steps: int, width: int, correlation: float
+    ):
+        self._asked = seed, runs, steps, width
+        self._correlation = correlation
+        self._begin()
+
+    def __call__(self, k: int) -> Float[Array, "run nu"]:
+        """The k-th step; a step before the last block begins anew."""
+        if k < self._stop - len(self._block):
+            self._begin()
+        while k >= self._stop:
+            self._fill()
+        return self._block[k - self._stop]
+
+    def _begin(self) -> None:
+        seed, runs, _, width = self._asked
+        self._streams = list(streams.streams(seed, runs, "control")) if width else []
+        self._stop, self._block = 0, np.zeros((0, len(runs), width))
+
+    def _fill(self) -> None:
+        """The next block, from standard normals."""
+        _, runs, steps, width = self._asked
+        before, count = self._block[-1:], min(BLOCK, steps - self._stop)
+        white = np.empty((count, len(runs), width))
+        for row, own in enumerate(self._streams):
+            white[:, row] = own.standard_normal((count, width))
+        out = white * np.sqrt(1.0 - self._correlation**2)
+        if not self._stop:
+            out[:1] = white[:1]
+        else:
+            out[0] += self._correlation * before[0]
+        for k in range(1, len(out)):
+            out[k] += self._correlation * out[k - 1]
+        self._block, self._stop = out, self._stop + count
 
 
 def _user(target: str | None) -> Controller:

@@ -9,6 +9,7 @@ from zarr.codecs import Crc32cCodec
 
 from estbench.consistency.fields import PHASES, Field
 from estbench.consistency.records import SIZES, SUMMARY, TRUTH, fields
+from estbench.experiment.long import sampled, sampled_times
 from estbench.experiment.prepared import Setup
 from estbench.inference.innovations import readings
 from estbench.robots.layout import state_names
@@ -40,7 +41,7 @@ def labels(setup: Setup, keep: str) -> Labels:
         texts |= {"reading": ("reading", seen), "reading_": ("reading_", seen)}
     return {
         "run": ("run", np.arange(setup.scenario.simulation.runs)),
-        "time": ("time", setup.times),
+        "time": ("time", sampled_times(setup, keep)),
         **{name: (dim, np.array(values, dtype=object)) for name, (dim, values) in texts.items()},
     }
 
@@ -63,12 +64,13 @@ def declare(
         dtype: of the traces, `float64` or `float32`; averages are always float64.
         more: attributes.
     """
-    sizes = {**lengths(setup), "batch": len(batches)}
+    sizes = {**lengths(setup, keep), "batch": len(batches)}
     chunk = {**sizes, "run": len(batches[0]), "batch": 1}
     root.attrs.update(
         {
             **provenance(setup.scenario), "versions": versions.stamped(), "keep": keep,
-            "batch_size": len(batches[0]), "dtype": dtype, **more,
+            "batch_size": len(batches[0]), "dtype": dtype, "instants": len(setup.instants),
+            **more,
         }
     )  # fmt: skip
     write_labels(root, labels(setup, keep))
@@ -97,12 +99,17 @@ def declare(
         group("truth", TRUTH, dtype)
 
 
-def lengths(setup: Setup) -> dict[str, int]:
-    """The length of every dimension of a store but `batch`."""
+def lengths(setup: Setup, keep: str) -> dict[str, int]:
+    """The length of every dimension of a store but `batch`.
+
+    Args:
+        setup: the experiment.
+        keep: `summary`, `diagonal`, `full` or `log`.
+    """
     space, seen = setup.space, readings(setup.channel_spaces)
     return {
         "run": setup.scenario.simulation.runs,
-        "time": len(setup.times),
+        "time": len(sampled(setup, keep)),
         "channel": len(setup.channel_spaces),
         "coordinate": space.n,
         "coordinate_": space.n,

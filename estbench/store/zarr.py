@@ -179,6 +179,11 @@ class Store:
                     f"{label}/{lacking[0]}: it can be read but not continued; choose another --out"
                 )
         names, batches = labels(setup, kept[0]), divided(setup.scenario.simulation.runs, size)
+        if metadata.opened(root, "time").shape != names["time"][1].shape:
+            raise StoreError(
+                f"{folder} was begun with another version of estbench, which keeps sums of other "
+                "instants: it can be read but not continued; choose another --out"
+            )
         try:
             if longer:
                 lengths = {"run": setup.scenario.simulation.runs, "batch": len(batches)}

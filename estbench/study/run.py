@@ -56,7 +56,7 @@ def run(
     if len(names) > 1:
         raise StudyError("the variants have different states; vary keys that leave the state as is")
     first = bases[0]
-    sizes = [lengths(base) for base in bases]
+    sizes = [lengths(base, "summary") for base in bases]
     common = {d: n for d, n in sizes[0].items() if all(s[d] == n for s in sizes)}
     needed = {d for field in KEPT.values() for d in field.dims if d != "run"}
     if not needed <= common.keys():
