@@ -103,7 +103,10 @@ def beginning(
     setup: Setup, factor: Float[Array, "k k"], x0: Float[Array, "run nx"]
 ) -> Float[Array, "run k k"]:
     """The Jacobian of the unknowns at the start: that of x₀ is in the tangent at the true state."""
-    jacobian, n = np.broadcast_to(np.eye(len(factor)), (len(x0), *factor.shape)).copy(), setup.space.n
+    jacobian, n = (
+        np.broadcast_to(np.eye(len(factor)), (len(x0), *factor.shape)).copy(),
+        setup.space.n,
+    )
     jacobian[:, :n, :n] = setup.space.reset_jacobian(setup.space.minus(x0, setup.mean))
     return jacobian
 

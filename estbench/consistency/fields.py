@@ -151,9 +151,7 @@ class BatchTraces:
         """Where the filter reports a variance: a coordinate known exactly has none."""
         return self.traces.sigma > 0
 
-    def in_blocks(
-        self, values: Float[Array, "time run *any"], counted: Bool[Mask, "..."]
-    ) -> Mean:
+    def in_blocks(self, values: Float[Array, "time run *any"], counted: Bool[Mask, "..."]) -> Mean:
         """Mean over the instants of each block `(run, block, ...)`; NaN where none counts."""
         return means(values, counted, [b.members(self.times) for b in self.blocks])
 
@@ -165,7 +163,7 @@ class BatchTraces:
     def in_phases(
         self, values: Float[Array, "time run *any"], counted: Bool[Mask, "time run"] | None = None
     ) -> Mean:
-        """Mean over the settled instants of each phase `(run, phase, ...)`; NaN where none counts."""
+        """Mean over the settled instants of each phase `(run, phase, ...)`; NaN without any."""
         if self.phases is None:
             return Mean(np.zeros((self.runs, len(PHASES), *values.shape[2:])), 0)
         parts = self.phases if counted is None else self.phases & counted[..., None]
@@ -258,7 +256,7 @@ class BatchTraces:
         return self.traces.nees / np.maximum(self.traces.rank, 1)
 
     def normalized_nees(self) -> Ratio:
-        """Mean of NEES over the settled instants, divided by that of its degrees of freedom `(run,)`.
+        """Mean of NEES over the settled instants `(run,)`, over that of its degrees of freedom.
 
         NaN where all is known exactly, and the estimate is right.
         """

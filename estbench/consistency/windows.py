@@ -57,6 +57,8 @@ class Windows:
             phases: phase of contact of each of its instants, where it is known.
         """
         first, stop = self._next, self._next + len(traces.nees)
+        if stop == first + 1:  # late readings may still change all
+            return
         if not first:
             runs = traces.nees.shape[1]
             self._above, self._lost = np.zeros((0, runs), bool), np.zeros(runs, bool)
@@ -66,12 +68,8 @@ class Windows:
         batch = BatchTraces(
             traces, times, settled, np.zeros_like(self._lost), self._blocks, phases, self._since
         )
-        if self._sums is None:
-            found = {name: variable.of(batch) for name, variable in SUMMARY.items()}
-            self._sums = {k: v for k, v in found.items() if not isinstance(v, np.ndarray)}
-        else:
-            for name, before in self._sums.items():
-                self._sums[name] = before + SUMMARY[name].of(batch)  # type: ignore[operator]
+        if settled.any():
+            self._add_up(batch)
         if phases is not None:
             self._since = self._since | phases[..., PHASES.index("event")].any(axis=0)
         new = 0 if not first else 1
@@ -88,6 +86,15 @@ class Windows:
         self._last = traces
         self._next = stop - 1
 
+    def _add_up(self, batch: BatchTraces) -> None:
+        """Add the sums of a window; which variables are sums shows in the first."""
+        if self._sums is None:
+            found = {name: variable.of(batch) for name, variable in SUMMARY.items()}
+            self._sums = {k: v for k, v in found.items() if not isinstance(v, np.ndarray)}
+            return
+        for name, before in self._sums.items():
+            self._sums[name] = before + SUMMARY[name].of(batch)  # type: ignore[operator]
+
     @property
     def finished(self) -> bool:
         """Whether the last window has been added."""
@@ -100,7 +107,8 @@ class Windows:
             ended: index of the first time at which a run has no truth, -1 for none.
             lost: of these the runs that have none for want of a reference.
         """
-        assert self._last is not None and self._sums is not None
+        assert self._last is not None
+        assert self._sums is not None
         failed = (ended >= 0) & ~lost  # as `recording.blamed` has it
         fault = np.where(failed, Fault.TRUTH, self._last.fault)
         fault = np.where(lost & (fault == Fault.TRUTH), Fault.REFERENCE, fault)
@@ -123,5 +131,3 @@ class Windows:
             if name not in self._sums
         }
         return sampled | {name: found.value for name, found in self._sums.items()}
-
-

@@ -104,7 +104,7 @@ class PassingContacts:
         self._now: tuple[Mask, Mask] | None = None
 
     def forward(
-        self, x: Array, ahead: Array | None, times: Float[Array, " time"]
+        self, x: Float[Array, "time run nx"], ahead: Array | None, times: Float[Array, " both"]
     ) -> Bool[Mask, "time run phase"]:
         """The phases of a window.
 
@@ -128,6 +128,6 @@ class PassingContacts:
     def _look(self, x: Array, first: Mask) -> tuple[Mask, Mask]:
         """Where the robots touch something, and where an event happens `(time, run)`."""
         touching, events = looked(self._prepared, x, self._runs)
-        event = events.any(axis=-1)
+        event = np.asarray(events.any(axis=-1))
         event[0] = first
         return touching, event

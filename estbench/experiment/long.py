@@ -11,7 +11,7 @@ from estbench.shapes import Array, Float, Int, Ints
 WHOLE = 32768
 """Instants up to which a run is held as a whole."""
 WINDOW = 4096
-"""Instants of a longer run that are held at once."""
+"""Instants of a longer run that are held at once: a multiple of `inference.lags.BLOCK`."""
 SAMPLE = 8192
 """Instants of a longer run, at most, that have sums over the runs of their own."""
 LEAST = 11
@@ -54,8 +54,18 @@ def sampled(setup: Setup, keep: str) -> Int[Ints, " kept"]:
     last = len(setup.instants)
     if not windowed(setup, keep):
         return np.arange(last + 1)
-    step = next(p for p in count(max(LEAST, -(-last // SAMPLE))) if _prime(p))
-    return np.unique([*range(0, last + 1, step), last])
+    return np.unique([*range(0, last + 1, _step(setup)), last])
+
+
+def notices(setup: Setup, keep: str) -> list[str]:
+    """What a summary of a long run leaves out."""
+    if not windowed(setup, keep):
+        return []
+    return [
+        f"a run of {len(setup.instants):,} instants: NEES, NIS and errors over time, and the "
+        f"comparison by the covariance's size, are of every {_step(setup)}th instant; averages "
+        "are of all"
+    ]
 
 
 def sampled_times(setup: Setup, keep: str) -> Float[Array, " kept"]:
@@ -66,6 +76,12 @@ def sampled_times(setup: Setup, keep: str) -> Float[Array, " kept"]:
 def held_instants(setup: Setup, keep: str) -> int:
     """Times of a run that are held at once."""
     return WINDOW + 1 if windowed(setup, keep) else len(setup.instants) + 1
+
+
+def _step(setup: Setup) -> int:
+    """Instants from one of the sample to the next."""
+    least = max(LEAST, -(-len(setup.instants) // SAMPLE))
+    return next(p for p in count(least) if _prime(p))
 
 
 def _prime(p: int) -> bool:

@@ -109,9 +109,15 @@ def followed(
     (fault, lags, ...) is what is known so far.
 
     Args:
-        estimator, space, prior, source, channels: as for `run_filter`.
-        delays, keys: likewise.
-        keep_cov, keep_innovations: where one window is all.
+        estimator: as for `run_filter`, like all but the last.
+        space: the state space of truth and estimate.
+        prior: x̂₀ and P₀.
+        source: truth, controls, readings.
+        channels: channel -> the manifold of its readings, in the measurement's order.
+        delays: what to do about late readings.
+        keys: a random key per run for estimators whose `init` takes `keys`.
+        keep_cov: whether to record full covariances, where one window is all.
+        keep_innovations: whether to record ν and S, likewise.
         stop: asked at every instant; True ends it.
         length: of a window, instants; None is all.
     """

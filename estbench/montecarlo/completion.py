@@ -9,7 +9,7 @@ from estbench.consistency.fields import Record
 from estbench.consistency.records import merge
 from estbench.consistency.summary import summarize
 from estbench.errors import Interrupted, StoreError
-from estbench.experiment.long import sampled_times
+from estbench.experiment import long
 from estbench.experiment.setup import Setup
 from estbench.montecarlo import dispatch
 from estbench.montecarlo.dispatch import Progress, Say
@@ -147,7 +147,7 @@ def _collect(
     merged = {
         label: merge([done[i][label] for i in order]) for label in prepared.scenario.estimators
     }
-    section, times = prepared.scenario.consistency, sampled_times(prepared, keep)
+    section, times = prepared.scenario.consistency, long.sampled_times(prepared, keep)
     return Results(
         scenario=prepared.scenario,
         names=prepared.space.names,
@@ -174,6 +174,7 @@ def _collect(
         notices=(
             *prepared.notices,
             *bounds.notices(prepared),
+            *long.notices(prepared, keep),
             *notices,
             *dispatch.missing(batches, failed),
         ),

@@ -66,9 +66,7 @@ class Instants(Sequence[Instant]):
         before, tick = self._ticks[k], self._ticks[k + 1]
         channels, control = self._known[kind]
         timestep = self._timestep
-        return Instant(
-            before * timestep, tick * timestep, tick - before, channels, control, tick
-        )
+        return Instant(before * timestep, tick * timestep, tick - before, channels, control, tick)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
@@ -78,11 +76,10 @@ class Instants(Sequence[Instant]):
     @property
     def times(self) -> Float[Array, " time"]:
         """The start, and the end of every instant, s."""
-        return np.frombuffer(self._ticks, np.int64) * self._timestep
+        return np.asarray(np.frombuffer(self._ticks, np.int64) * self._timestep, np.float64)
 
     @property
     def controls(self) -> int:
         """At how many the controller is evaluated."""
         asked = np.array([control for _, control in self._known], bool)
         return int(asked[np.frombuffer(self._kinds, np.uint16)].sum())
-

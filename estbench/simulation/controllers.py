@@ -230,9 +230,7 @@ class _GaussMarkov:
         correlation: from one step to the next.
     """
 
-    def __init__(
-        self, seed: int, runs: Sequence[int], steps: int, width: int, correlation: float
-    ):
+    def __init__(self, seed: int, runs: Sequence[int], steps: int, width: int, correlation: float):
         self._asked = seed, runs, steps, width
         self._correlation = correlation
         self._begin()

@@ -38,10 +38,11 @@ class Trajectory:
 
 
 class Events(Sequence[Event]):
-    """The instants as events of all rows, made when they are asked for."""
+    """The instants as events of all rows, made when they are asked for; the last one is kept."""
 
     def __init__(self, instants: Sequence[Instant]):
         self._instants = instants
+        self._place, self._event = len(instants), Event(0, Instant(0.0, 0.0, 0, (), False, 0))
 
     def __len__(self) -> int:
         return len(self._instants)
@@ -53,8 +54,10 @@ class Events(Sequence[Event]):
     def __getitem__(self, k: int | slice) -> Event | list[Event]:
         if isinstance(k, slice):
             return [Event(instant.tick, instant) for instant in self._instants[k]]
-        instant = self._instants[k]
-        return Event(instant.tick, instant)
+        if k != self._place:
+            instant = self._instants[k]
+            self._place, self._event = k, Event(instant.tick, instant)
+        return self._event
 
 
 class Recorded:

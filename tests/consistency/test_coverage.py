@@ -13,7 +13,9 @@ def test_inside_by_hand():
     error = np.array([[[0.5], [-2.0]], [[-1.0], [np.nan]], [[2.5], [1.0]], [[3.5], [6.0]]])
     std = np.array([[[1.0], [1.0]], [[1.0], [1.0]], [[1.0], [0.0]], [[1.0], [2.0]]])
     # (step, run, coordinate); run 0: 0.5 1 2.5 3.5, run 1: 2 NaN (known exactly) 3
-    np.testing.assert_allclose(inside(error, std).value[:, 0], [[0.5, 0.5, 0.75], [0.0, 1 / 3, 2 / 3]])
+    np.testing.assert_allclose(
+        inside(error, std).value[:, 0], [[0.5, 0.5, 0.75], [0.0, 1 / 3, 2 / 3]]
+    )
     assert np.isnan(inside(error, np.zeros_like(std)).value).all()  # no step counts
 
 
@@ -39,7 +41,9 @@ def test_normal_errors_are_inside_as_often_as_expected():
     missed = np.zeros(3)
     for _ in range(400):
         std = rng.uniform(0.5, 2, (1, 20, 2))
-        shares = inside(std * rng.standard_normal((100, 20, 2)), np.broadcast_to(std, (100, 20, 2))).value
+        shares = inside(
+            std * rng.standard_normal((100, 20, 2)), np.broadcast_to(std, (100, 20, 2))
+        ).value
         missed += [not ok for ok in coverage(shares).as_expected]
     assert (np.abs(missed[:2] - 20) < 27).all()
     assert missed[2] < 20 + 20 + 27
