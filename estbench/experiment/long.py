@@ -74,8 +74,9 @@ def sampled_times(setup: Setup, keep: str) -> Float[Array, " kept"]:
 
 
 def held_instants(setup: Setup, keep: str) -> int:
-    """Times of a run that are held at once."""
-    return WINDOW + 1 if windowed(setup, keep) else len(setup.instants) + 1
+    """Times of a run whose traces are held at once: of a long one a window, and the sample."""
+    kept = len(sampled(setup, keep))
+    return kept + WINDOW + 1 if windowed(setup, keep) else kept
 
 
 def _step(setup: Setup) -> int:

@@ -67,7 +67,7 @@ def default_batch_size(prepared: setup.Setup, keep: str, parts: int = 4) -> int:
 
 
 def run_bytes(prepared: setup.Setup, keep: str) -> int:
-    """Memory of the traces of one run, of a long one those of a window."""
+    """Memory of the traces of one run, of a long one those of a window and of the sample."""
     space, m = prepared.space, len(readings(prepared.channel_spaces))
     a_step = 2 * space.nx + 3 * space.n + 4
     if keep == "full":
@@ -84,16 +84,12 @@ def held_bytes(prepared: setup.Setup, keep: str, size: int) -> int:
         keep: what is stored of each run; with `summary` one estimator has its traces at a time.
         size: runs of the batch.
     """
-    count, held = len(prepared.scenario.estimators), long.held_instants(prepared, keep)
-    windowed = long.windowed(prepared, keep)
+    count, windowed = len(prepared.scenario.estimators), long.windowed(prepared, keep)
     together = max(1, count) if keep == "summary" and not windowed else 1
     a_run = COPIES * run_bytes(prepared, keep) // together
     a_run += working_bytes(prepared) + history_bytes(prepared)
-    if windowed:  # the sample, and two windows of the truth
-        kept = len(long.sampled(prepared, keep))
-        a_run += int(run_bytes(prepared, keep) * COPIES * kept / held)
-        return size * a_run + 2 * INSTANT_BYTES * held + LONG_INSTANT_BYTES * len(prepared.times)
-    return size * a_run + INSTANT_BYTES * len(prepared.times)
+    each, instants = (LONG_INSTANT_BYTES, 2 * long.WINDOW) if windowed else (0, len(prepared.times))
+    return size * a_run + INSTANT_BYTES * instants + each * len(prepared.times)
 
 
 def history_bytes(prepared: setup.Setup) -> int:
