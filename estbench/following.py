@@ -18,6 +18,7 @@ from estbench.inference.run_subset import ALL
 from estbench.models.probe import probe
 from estbench.models.protocol import Model
 from estbench.shapes import Array, Float, Int, Ints, Keys, UInt
+from estbench.spaces.blas import one_thread
 from estbench.spaces.linalg import quiet
 from estbench.spaces.manifold import Manifold
 
@@ -135,7 +136,7 @@ def follow(
     answers = Answers(estimator)
     passage = _Passage(estimator, answers, clock, readings, controls, keep)
     try:
-        with quiet():  # failed runs are marked
+        with quiet(), one_thread():  # failed runs are marked
             if not answers.own:
                 passage.probe(mean, cov, keys, space.n)
             sizes = mean.shape[-1], cov.shape[-1]

@@ -19,6 +19,7 @@ from estbench.inference.traces import Recorder, Traces
 from estbench.sensors.clock import Event
 from estbench.sensors.sampling import Delivery
 from estbench.shapes import Array, Float, Keys, UInt
+from estbench.spaces.blas import one_thread
 from estbench.spaces.linalg import quiet
 from estbench.spaces.manifold import Manifold
 
@@ -139,7 +140,7 @@ def followed(
     with quiet():
         recorder.add(0, source.x0, belief)
     for first in range(0, max(count, 1), max(length, 1)):
-        with quiet():
+        with quiet(), one_thread():
             for k in range(first, min(first + length, count)):
                 if stop():
                     return

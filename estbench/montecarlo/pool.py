@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from estbench.errors import ExecutorError
 from estbench.montecarlo.team import WorkerDiedError
+from estbench.spaces.blas import one_thread
 
 T = TypeVar("T")
 POLL = 1.0
@@ -117,7 +118,7 @@ def work_off(
     stopping = threading.Event()
     here = _Here(function, stopping.is_set, prepared)
     try:
-        with closing(execute(here, tasks, using, stopping.set)) as outcomes:
+        with one_thread(), closing(execute(here, tasks, using, stopping.set)) as outcomes:
             for outcome in outcomes:
                 if isinstance(outcome, Failed):
                     failed(outcome.task, outcome.error)
