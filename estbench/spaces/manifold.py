@@ -11,6 +11,7 @@ representations through encapsulation of manifolds" (2013), Table 1.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,15 +70,16 @@ class Manifold:
             start, shift = point + 4, shift + 1
             turns.append((slice(point, start), slice(tangent, tangent + 3)))
         object.__setattr__(self, "_lines", [(x, t) for x, t in lines if x.start < x.stop])
-        object.__setattr__(self, "_turns", turns[:-1])
+        object.__setattr__(self, "_turns", _together(turns[:-1]))
         tangent = np.array(self.angles, np.intp)
         before = (self.quaternions[:, 1] < tangent[:, None]).sum(axis=1)
         object.__setattr__(self, "_circles", (tangent + before, tangent))
 
-    # Slices of the point and of the tangent, for runs of real lines and for the quaternions. A
-    # slice is several times faster in numpy than a list of indices.
+    # Slices of the point and of the tangent, for runs of real lines and for one quaternion. A
+    # slice is several times faster in numpy than a list of indices; several quaternions are
+    # indexed together, `(quaternion, 4)` and `(quaternion, 3)`.
     _lines: list[tuple[slice, slice]] = field(init=False, repr=False)
-    _turns: list[tuple[slice, slice]] = field(init=False, repr=False)
+    _turns: list[tuple[Any, Any]] = field(init=False, repr=False)
     # Indices of the angles in the point and in the tangent.
     _circles: tuple[NDArray[np.intp], NDArray[np.intp]] = field(init=False, repr=False)
 
@@ -170,7 +172,11 @@ class Manifold:
             at, _ = self._circles
             mean[..., at] = rotation.mean_angle(points[..., at], weights)
         for at, _ in self._turns:
-            mean[..., at] = rotation.mean(points[..., at], weights)
+            if isinstance(at, slice):
+                mean[..., at] = rotation.mean(points[..., at], weights)
+                continue
+            each = weights if weights.ndim == 1 else weights[..., None, :]
+            mean[..., at] = rotation.mean(np.moveaxis(points[..., at], -3, -2), each)
         return mean
 
     @cached_property
@@ -202,9 +208,9 @@ class Manifold:
         except for the right Jacobian of each rotation vector.
         """
         out = np.broadcast_to(np.eye(self.n), (*delta.shape[:-1], self.n, self.n)).copy()
-        for start in self.quaternions[:, 1]:
-            block = slice(start, start + 3)
-            out[..., block, block] = rotation.right_jacobian(delta[..., block])
+        for _, to in self._turns:
+            rows, columns = (to, to) if isinstance(to, slice) else (to[..., None], to[:, None])
+            out[..., rows, columns] = rotation.right_jacobian(delta[..., to])
         return out
 
     def transport(
@@ -217,7 +223,12 @@ class Manifold:
         for _, turn in self._turns:  # elsewhere J is the identity
             jacobian = rotation.right_jacobian(delta[..., turn])
             out[..., turn, :] = jacobian @ out[..., turn, :]
-            out[..., turn] = out[..., turn] @ jacobian.mT
+            columns = out[..., turn]
+            if isinstance(turn, slice):
+                out[..., turn] = columns @ jacobian.mT
+            else:
+                columns = np.moveaxis(columns, -2, -3) @ jacobian.mT
+                out[..., turn] = np.moveaxis(columns, -3, -2)
         return out
 
     def infinite(self, x: Float[Array, "*any nx"]) -> Bool[Mask, "*any n"]:
@@ -232,6 +243,13 @@ class Manifold:
     def index(self, name: str) -> int:
         """Position of the tangent coordinate `name`."""
         return self.names.index(name)
+
+
+def _together(turns: Sequence[tuple[slice, slice]]) -> list[tuple[Any, Any]]:
+    """The quaternions as one pair of indices, where there are several."""
+    if len(turns) < 2:
+        return list(turns)
+    return [tuple(np.array([range(s.start, s.stop) for s in part]) for part in zip(*turns))]  # type: ignore[list-item]
 
 
 def product(spaces: Sequence[Manifold]) -> Manifold:
