@@ -264,3 +264,30 @@ def test_angles_are_kept_in_a_product():
 def test_angles_that_are_no_coordinates(angles):
     with pytest.raises(DimensionError, match=r"angles is .*use some of 0 to 6"):
         Manifold(TURNED.names, TURNED.units, TURNED.quaternions, angles)
+
+
+def test_several_quaternions_are_computed_as_each_alone():
+    rng = np.random.default_rng(3)
+    ball = Manifold(("rx", "ry", "rz"), ("rad",) * 3, np.array([[0, 0]]))
+    one = product([Manifold.euclidean(1), ball, Manifold.euclidean(2)])
+    several = product([one, one, one])
+    x = np.stack([one.plus(np.ones(one.nx), rng.standard_normal((5, 2, one.n))) for _ in range(3)])
+    delta = rng.standard_normal((3, 5, 2, one.n))
+    y = one.plus(x, delta)
+    whole = [np.concatenate(list(part), axis=-1) for part in (x, y, delta)]
+    np.testing.assert_allclose(several.plus(whole[0], whole[2]), whole[1], atol=1e-14)
+    found = several.minus(whole[1], whole[0])
+    apart = np.concatenate(list(one.minus(y, x)), axis=-1)
+    np.testing.assert_allclose(found, apart, atol=1e-14)
+    jacobian, cov = several.reset_jacobian(whole[2]), np.eye(several.n) + 0.5
+    for i in range(3):
+        block = slice(i * one.n, (i + 1) * one.n)
+        expected = one.reset_jacobian(delta[i])
+        np.testing.assert_allclose(jacobian[..., block, block], expected, atol=1e-14)
+    moved = several.transport(np.broadcast_to(cov, jacobian.shape), whole[2])
+    np.testing.assert_allclose(moved, jacobian @ cov @ jacobian.mT, atol=1e-13)
+    for weights in (np.array([0.3, 0.7]), rng.dirichlet([1.0, 1.0], 5)):
+        near = several.plus(whole[0][:, :1], 0.3 * whole[2])
+        parts = [near[..., i * one.nx : (i + 1) * one.nx] for i in range(3)]
+        expected = np.concatenate([one.mean(part, weights) for part in parts], axis=-1)
+        np.testing.assert_allclose(several.mean(near, weights), expected, atol=1e-12)
