@@ -12,16 +12,15 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from estbench.spaces.blas import one_thread
+
 Job = tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]
-NUMERIC_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-"""Of a spawned process: one, as every core has a process already."""
-_spawning = threading.Lock()
 
 
 class WorkerDiedError(Exception):
@@ -112,9 +111,7 @@ def _settle(future: Future[Any], call: Callable[[], Any]) -> None:
 
 
 def _elsewhere(process: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any) -> Any:
-    with _one_numeric_thread():
-        future = process.submit(function, *arguments)
-    return future.result()
+    return process.submit(function, *arguments).result()
 
 
 def _ready(process: ProcessPoolExecutor) -> None:
@@ -127,19 +124,6 @@ def _imported() -> None:
     from estbench.montecarlo import worker  # noqa: F401
 
 
-@contextlib.contextmanager
-def _one_numeric_thread() -> Iterator[None]:
-    """The environment that a process inherits; its user's own settings hold."""
-    with _spawning:
-        added = [name for name in NUMERIC_THREADS if name not in os.environ]
-        os.environ.update(dict.fromkeys(added, "1"))
-        try:
-            yield
-        finally:
-            for name in added:
-                os.environ.pop(name, None)
-
-
 def _kill(process: ProcessPoolExecutor) -> None:
     """Kill a process; its unfinished task gives no result."""
     children = list((getattr(process, "_processes", None) or {}).values())
@@ -150,12 +134,14 @@ def _kill(process: ProcessPoolExecutor) -> None:
 
 
 def _start() -> None:
-    """Initialize a process: it ignores Ctrl-C and exits when its parent dies.
+    """Initialize a process: it ignores Ctrl-C, exits when its parent dies, and has one BLAS thread.
 
-    Ctrl-C reaches every process of the terminal, and the parent handles it. A parent that is killed
-    cannot end its children, which would wait for tasks without end.
+    Every core has a process already. Ctrl-C reaches every process of the terminal, and the parent
+    handles it. A parent that is killed cannot end its children, which would wait for tasks without
+    end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    one_thread().__enter__()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_follow, args=(parent.join,), daemon=True).start()
