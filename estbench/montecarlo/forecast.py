@@ -115,7 +115,7 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
         keep: what is stored of each.
         workers: threads or processes, at most one per CPU counts.
     """
-    workers = min(workers, executors.cpu_count())
+    workers, size = min(workers, executors.cpu_count()), min(size, runs)
     steps, count = len(prepared.instants), max(1, len(prepared.scenario.estimators))
     memory = min(workers, -(-runs // size)) * batch.held_bytes(prepared, keep, size)
     free = free_memory()

@@ -36,7 +36,7 @@ def pool(
         workers: count; default as many as fit the machine.
         address: of the dask scheduler.
     """
-    held = batch.held_bytes(prepared, keep, size)
+    held = batch.held_bytes(prepared, keep, min(size, runs))
     found = None
     if kind == "auto":
         count = workers or executors.fitting("threads", held)

@@ -103,6 +103,13 @@ def test_the_memory_is_what_a_batch_takes(label):
     assert most / 2 < batch.held_bytes(made, "summary", 50) < 2 * most
 
 
+def test_a_batch_has_no_more_runs_than_there_are():
+    made = prepared("pendulum", runs=1, duration=0.8)
+    assert forecast.forecast(made, 1, 10, "summary", 2).memory == batch.held_bytes(
+        made, "summary", 1
+    )
+
+
 def test_what_does_not_fit_is_said_before_it_starts(monkeypatch):
     long = "estimators={rts={}}"
     made = prepared("pendulum", None, runs=250, duration=100.0, overrides=[long])
