@@ -38,7 +38,7 @@ class Differences:
 
     def directions(self, n: int) -> Float[Array, "point n"]:
         """Tangent perturbations; the first is zero."""
-        return _directions(n, self.step, self.scheme, n)
+        return _directions(n, self.step, self.scheme, tuple(range(n)))
 
     def slope(
         self, space: Manifold, values: Float[Array, "run point ny"], step: float | None = None
@@ -57,6 +57,7 @@ class Differences:
         target: Manifold,
         x: Float[Array, "run nx"],
         reach: int | None = None,
+        units: tuple[int, ...] = (),
     ) -> tuple[Float[Array, "run ny"], Float[Array, "run m n"]]:
         """Value and Jacobian of a function at x.
 
@@ -70,22 +71,25 @@ class Differences:
             x: where the Jacobian is taken.
             reach: the function depends on the first `reach` tangent coordinates only; the other
                 columns are zero and are not computed. Default: all.
+            units: coordinates with a column that is known: that of the identity.
         """
         n = source.n
-        reach = n if reach is None else reach
-        values = function(source.plus(x[:, None], _directions(n, self.step, self.scheme, reach)))
+        columns = _columns(n if reach is None else reach, units)
+        values = function(source.plus(x[:, None], _directions(n, self.step, self.scheme, columns)))
         value, slope = values[:, 0], self.slope(target, values)
         limit = self.step * _ROUNDING / _EPS
         # The sum is cheap and bounds every coordinate; the second test decides.
         if not (x.size < 4096 and np.vdot(x, x) <= limit * limit) and (np.abs(x) > limit).any():
-            slope = self._widened(function, source, target, x, value, slope, reach)
+            slope = self._widened(function, source, target, x, value, slope, columns)
         if not surely_finite(slope):
             value = np.where(np.isinf(values).any(axis=1), np.inf, value)
             slope = np.where(target.infinite(value)[..., None], 0.0, slope)
-        if reach == n:
+        if len(columns) == n:
             return value, slope
         out = np.zeros((*slope.shape[:-1], n))
-        out[..., :reach] = slope
+        out[..., columns] = slope
+        if units:
+            out[..., units, units] = 1.0
         return value, out
 
     def _widened(
@@ -96,7 +100,7 @@ class Differences:
         x: Array,
         value: Array,
         slope: Array,
-        reach: int,
+        columns: tuple[int, ...],
     ) -> Array:
         """The Jacobian of large coordinates, by steps that their rounding errors do not hide.
 
@@ -104,7 +108,7 @@ class Differences:
         16 until that is below 1e-7 of the largest coordinate. An element goes along while its
         change is within the rounding errors of the smaller step; beyond that the function bends.
         """
-        inputs, outputs = source.magnitude(x)[:, :reach, None], target.magnitude(value)[..., None]
+        inputs, outputs = source.magnitude(x)[:, columns, None], target.magnitude(value)[..., None]
         largest = np.maximum(inputs.max(axis=(1, 2)), outputs.max(axis=(1, 2)))
         needed = np.where(np.isfinite(largest), largest, 0.0) * _EPS / _ROUNDING
         step, open_ = self.step, np.ones(slope.shape, bool)
@@ -112,7 +116,7 @@ class Differences:
             error = 4.0 * _EPS / step  # of the smaller step
             open_ &= (step < needed)[:, None, None]
             step *= 16.0
-            points = source.plus(x[:, None], _directions(source.n, step, self.scheme, reach))
+            points = source.plus(x[:, None], _directions(source.n, step, self.scheme, columns))
             wider = self.slope(target, function(points), step)
             size = outputs + np.maximum(np.abs(slope), np.abs(wider)) @ inputs
             open_ &= np.abs(wider - slope) <= 2.0 * error * size
@@ -121,8 +125,14 @@ class Differences:
 
 
 @lru_cache(maxsize=64)
-def _directions(n: int, step: float, scheme: str, reach: int) -> Array:
-    axes = step * np.eye(n)[:reach]
+def _columns(reach: int, units: tuple[int, ...]) -> tuple[int, ...]:
+    """The tangent coordinates along which differences are taken."""
+    return tuple(i for i in range(reach) if i not in units)
+
+
+@lru_cache(maxsize=64)
+def _directions(n: int, step: float, scheme: str, columns: tuple[int, ...]) -> Array:
+    axes = step * np.eye(n)[list(columns)]
     parts = [np.zeros((1, n)), axes] + ([-axes] if scheme == "centered" else [])
     out = np.concatenate(parts)
     out.flags.writeable = False  # it is shared

@@ -15,6 +15,7 @@ from estbench.models.protocol import Channels
 from estbench.robots import backend, given, layout, legs, level_ground
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
+from estbench.robots.ignorable import ignorable
 from estbench.robots.level_ground import LevelGround
 from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
 from estbench.shapes import Array, Float
@@ -98,6 +99,7 @@ class MujocoModel:
         self._backend = engine or backend.create(model, nthread)
         self._range, self._inputs = ControlRange.of(model), given.size(model)
         self._selections: dict[tuple[str, ...] | None, _Selection] = {}
+        self._ignorable = () if engine else tuple(ignorable(model).tolist())
         self._steps: dict[float, int] = {}
         self._split, self._substeps = split, dict[float, float | None]()
 
@@ -124,10 +126,15 @@ class MujocoModel:
     def transition_jacobian(
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run n n"]]:
-        """f(x) and Φ by differences of complete transitions."""
+        """f(x) and Φ by differences of complete transitions.
+
+        The columns of `ignorable` coordinates are those of the identity.
+        """
+        own = u.shape[-1] == self.nu  # and no other model, nor forces from outside
         return self.differences.jacobian(
-            lambda points: self.transition(points, u, t, dt), self._space, self._space, x
-        )
+            lambda points: self.transition(points, u, t, dt), self._space, self._space, x,
+            units=self._ignorable if own else (),
+        )  # fmt: skip
 
     def process_noise(
         self, x: Float[Array, "run nx"], u: Float[Array, "run nu"], t: float, dt: float
