@@ -249,6 +249,8 @@ def diverged(
                 )
                 step = int(np.searchsorted(times, left)) if math.isfinite(left) else None
             time = float(times[step]) if step is not None else None
+            if entry.source.instants >= len(times):  # a long run: its times are a sample
+                step = None
             rows.append(Diverged(entry.key, run, time, step, cause))
         out.append((entry.key, len(lost), rows))
     return out
