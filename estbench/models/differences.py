@@ -86,10 +86,13 @@ class Differences:
             slope = np.where(target.infinite(value)[..., None], 0.0, slope)
         if len(columns) == n:
             return value, slope
+        if units:  # in memory as a slope without them, so that products round alike
+            whole = np.zeros((*slope.shape[:-2], n, slope.shape[-2]))
+            whole[..., columns, :] = slope.mT
+            whole[..., units, units] = 1.0
+            return value, whole.mT
         out = np.zeros((*slope.shape[:-1], n))
         out[..., columns] = slope
-        if units:
-            out[..., units, units] = 1.0
         return value, out
 
     def _widened(
