@@ -133,8 +133,8 @@ def test_exact_handling_gives_the_posterior_of_readings_on_time(name, kind, late
     caught_up = run(prepared, delayed, kind, window=window(prepared, 20))
     assert not caught_up.late.any()
     assert not caught_up.fault.any()
-    # Some runs are updated without the others, and a product of fewer rows may round differently:
-    # by 1e-16, of which differences over 1e-6 make 1e-10 in Φ.
+    # Some runs are updated without the others, which rounds otherwise; forward differences (step
+    # 1e-6) magnify that.
     np.testing.assert_allclose(caught_up.mean[-1], on_time.mean[-1], atol=1e-8, rtol=0)
     np.testing.assert_allclose(caught_up.cov[-1], on_time.cov[-1], atol=1e-9, rtol=0)
     np.testing.assert_array_equal(caught_up.dof, on_time.dof)
@@ -157,7 +157,8 @@ def test_at_any_time_it_is_the_posterior_of_what_has_arrived_by_then(kind):
         then = Trajectory(late.x[: k + 2], late.u[: k + 1], known[: k + 1])
         shorter = replace(prepared, instants=prepared.instants[: k + 1])
         expected = run(shorter, then, kind)
-        np.testing.assert_allclose(handled.mean[k + 1], expected.mean[-1], atol=1e-9, rtol=0)
+        atol = 1e-9 if kind == "ukf" else 1e-8  # forward differences magnify rounding errors
+        np.testing.assert_allclose(handled.mean[k + 1], expected.mean[-1], atol=atol, rtol=0)
         np.testing.assert_allclose(handled.cov[k + 1], expected.cov[-1], atol=1e-9, rtol=0)
 
 
