@@ -113,11 +113,12 @@ def forecast(prepared: Setup, runs: int, size: int, keep: str, workers: int) -> 
         runs: how many are to be computed.
         size: runs of one batch.
         keep: what is stored of each.
-        workers: threads or processes, at most one per CPU counts.
+        workers: threads or processes; at most one per CPU, and one per batch, count.
     """
-    workers, size = min(workers, executors.cpu_count()), min(size, runs)
+    size = min(size, runs)
+    workers = min(workers, executors.cpu_count(), -(-runs // size))
     steps, count = len(prepared.instants), max(1, len(prepared.scenario.estimators))
-    memory = min(workers, -(-runs // size)) * batch.held_bytes(prepared, keep, size)
+    memory = workers * batch.held_bytes(prepared, keep, size)
     free = free_memory()
     width = max(space.n for space in prepared.channel_spaces.values())
     if width >= _WIDE:

@@ -39,7 +39,7 @@ def pool(
     held = batch.held_bytes(prepared, keep, min(size, runs))
     found = None
     if kind == "auto":
-        count = workers or executors.fitting("threads", held)
+        count = min(workers or executors.fitting("threads", held), -(-runs // size))
         starts = 0.0 if team.stands(1, count - 1) else (count - 1) * START
         if count > 1 and evaluations(prepared, runs) >= LONG:
             team.kept(1, count - 1)

@@ -110,6 +110,15 @@ def test_a_batch_has_no_more_runs_than_there_are():
     )
 
 
+def test_one_batch_is_the_work_of_one_worker(monkeypatch):
+    monkeypatch.setattr(forecast, "_SHORT", 0)
+    monkeypatch.setattr(forecast, "_step", lambda made, rows, *_: np.array([1e-6, 1e-6]) * rows)
+    monkeypatch.setattr(forecast.executors, "cpu_count", lambda: 4)
+    made = prepared("pendulum", runs=20, duration=0.8)
+    one, two = (forecast.forecast(made, 20, size, "summary", 4) for size in (20, 10))
+    assert one.seconds == pytest.approx(2 * two.seconds)
+
+
 def test_what_does_not_fit_is_said_before_it_starts(monkeypatch):
     long = "estimators={rts={}}"
     made = prepared("pendulum", None, runs=250, duration=100.0, overrides=[long])
