@@ -11,9 +11,9 @@ from estbench.montecarlo.pool import Pool
 
 START = 0.8
 """CPU seconds in which a spawned process has imported what it needs and compiled a model."""
-LONG = 10_000_000
+LONG = 5_000_000
 """Evaluations of the model from which on processes start while the forecast is made: those of the
-cheapest robot take ten seconds."""
+cheapest robot take five seconds, of which two cores save as much as the start takes."""
 
 
 def pool(
