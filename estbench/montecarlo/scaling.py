@@ -33,18 +33,20 @@ def pool(
         runs: how many are to be computed.
         size: runs of one batch.
         keep: what is stored of each.
-        workers: count; default as many as fit the machine.
+        workers: count; default as many as fit the machine. `auto` has no more than CPUs,
+            where more would wait for each other, and than batches.
         address: of the dask scheduler.
     """
     held = batch.held_bytes(prepared, keep, min(size, runs))
     found = None
     if kind == "auto":
-        count = min(workers or executors.fitting("threads", held), -(-runs // size))
-        starts = 0.0 if team.stands(1, count - 1) else (count - 1) * START
-        if count > 1 and evaluations(prepared, runs) >= LONG:
-            team.kept(1, count - 1)
-        found = forecast(prepared, runs, size, keep, count)
-        kind = choose(found, count, executors.cpu_count(), starts)
+        most = min(executors.cpu_count(), -(-runs // size))
+        workers = min(workers or executors.fitting("both", held), most)
+        starts = 0.0 if team.stands(1, workers - 1) else (workers - 1) * START
+        if workers > 1 and evaluations(prepared, runs) >= LONG:
+            team.kept(1, workers - 1)
+        found = forecast(prepared, runs, size, keep, workers)
+        kind = choose(found, workers, executors.cpu_count(), starts)
     return executors.pool(kind, workers or executors.fitting(kind, held), address), found
 
 

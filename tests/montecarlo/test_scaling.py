@@ -1,6 +1,9 @@
 import pytest
 
+from estbench.experiment import setup
+from estbench.montecarlo import executors, scaling
 from estbench.montecarlo.forecast import Forecast
+from estbench.montecarlo.run import resolve
 from estbench.montecarlo.scaling import choose, thread_speed
 
 
@@ -27,3 +30,11 @@ def test_threads_that_queue_for_a_lock():
 )
 def test_processes_are_taken_where_they_finish_first(seconds, locked, workers, cpus, starts, kind):
     assert choose(Forecast(seconds, 1e-5, 0, None, locked), workers, cpus, starts) == kind
+
+
+def test_auto_has_no_more_workers_than_cpus_and_batches(monkeypatch):
+    made = setup.build(resolve("pendulum", ["ekf"], runs=100))
+    monkeypatch.setattr(executors, "cpu_count", lambda: 4)
+    for kind, size, count in (("auto", 10, 4), ("auto", 50, 2), ("threads", 10, 8)):
+        using, _ = scaling.pool(kind, made, 100, size, "summary", 8, None)
+        assert using.workers == count
