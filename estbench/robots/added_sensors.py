@@ -6,6 +6,7 @@ from typing import Any
 import mujoco
 
 from estbench.errors import ScenarioError, did_you_mean
+from estbench.robots.compiling import compiled
 
 SENSOR_TYPES = {
     name.removeprefix("mjSENS_").lower(): getattr(mujoco.mjtSensor, name)
@@ -78,7 +79,7 @@ def name_objects(spec: mujoco.MjSpec) -> None:
     }  # fmt: skip
     if all(element.name for elements in listed.values() for element in elements):
         return
-    spec.compile()  # their order is known after it
+    compiled(spec)  # their order is known after it
     for kind, elements in listed.items():
         ordered = sorted(elements, key=lambda element: element.id)
         for element, name in zip(ordered, _named([e.name for e in ordered], kind)):

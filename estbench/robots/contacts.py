@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.robots import backend
+from estbench.robots.compiling import compiled
 from estbench.shapes import Array, Bool, Float, Int, Mask
 
 _DATA = mujoco.mjtConDataField
@@ -103,7 +104,7 @@ def sensed(spec: mujoco.MjSpec, bodies: Bool[Mask, " body"]) -> mujoco.MjSpec:
     spec = spec.copy()
     for sensor in list(spec.sensors):
         spec.delete(sensor)
-    model = spec.compile()
+    model = compiled(spec)
     sensors, objects = mujoco.mjtSensor, mujoco.mjtObj
     for kind, elements, chosen, sensor, obj in (
         ("body", spec.bodies, bodies, sensors.mjSENS_CONTACT, objects.mjOBJ_BODY),

@@ -13,6 +13,7 @@ import numpy as np
 
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots import added_sensors
+from estbench.robots.compiling import compiled
 from estbench.robots.flags import set_flags
 from estbench.robots.parameters import changed
 from estbench.shapes import Array, Float
@@ -108,7 +109,7 @@ def compile_model(
                     f"actuator '{name}' has nsample={actuator.nsample}: its delay is a "
                     "hidden state that no estimator sees; remove nsample and delay from the MJCF"
                 )
-        model = spec.compile()
+        model = compiled(spec)
     except ValueError as error:
         raise ScenarioError(f"{where}: MJCF does not compile: {_one_line(error)}") from None
     if timestep is not None:

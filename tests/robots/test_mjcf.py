@@ -310,3 +310,15 @@ def test_an_actuator_with_several_controls_has_a_name_for_each():
     )
     assert layout.control_names(model) == ("o.qw", "o.qx", "o.qy", "o.qz", "m")
     assert layout.state_space(model).n == 8
+
+
+def test_what_mujoco_warns_of_a_file_is_said_once(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        """<mujoco><compiler settotalmass="2"/><worldbody><geom type="plane" size="1 1 1"/>
+        <body pos="0 0 1"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>"""
+    )
+    with pytest.warns(UserWarning) as said:
+        setup.build(scenarios.resolve(path))
+    assert len({(each.filename, each.lineno) for each in said}) == 1  # Python shows these once
+    assert "settotalmass" in str(said[0].message)
