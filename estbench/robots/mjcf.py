@@ -98,7 +98,7 @@ def compile_model(
     try:
         # Before the copy: `MjSpec.copy` drops elements with an invalid reference and reports
         # nothing.
-        spec.compile()
+        compiled(spec)
         spec = spec.copy()
         for sensor in spec.sensors:
             sensor.nsample, sensor.delay, sensor.interval = 0, 0.0, [0.0, 0.0]
