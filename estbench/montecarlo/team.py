@@ -111,7 +111,13 @@ def _settle(future: Future[Any], call: Callable[[], Any]) -> None:
 
 
 def _elsewhere(process: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any) -> Any:
-    return process.submit(function, *arguments).result()
+    return process.submit(_alone, function, *arguments).result()
+
+
+def _alone(function: Callable[..., Any], *arguments: Any) -> Any:
+    """A task on one thread of BLAS, as every core has a process already."""
+    with one_thread():
+        return function(*arguments)
 
 
 def _ready(process: ProcessPoolExecutor) -> None:
@@ -134,14 +140,12 @@ def _kill(process: ProcessPoolExecutor) -> None:
 
 
 def _start() -> None:
-    """Initialize a process: it ignores Ctrl-C, exits when its parent dies, and has one BLAS thread.
+    """Initialize a process: it ignores Ctrl-C and exits when its parent dies.
 
-    Every core has a process already. Ctrl-C reaches every process of the terminal, and the parent
-    handles it. A parent that is killed cannot end its children, which would wait for tasks without
-    end.
+    Ctrl-C reaches every process of the terminal, and the parent handles it. A parent that is killed
+    cannot end its children, which would wait for tasks without end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    one_thread().__enter__()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_follow, args=(parent.join,), daemon=True).start()

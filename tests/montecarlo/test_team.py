@@ -8,10 +8,15 @@ import pytest
 import estbench
 from estbench.consistency.records import COST
 from estbench.montecarlo import scaling, team
+from estbench.spaces import blas
 
 
 def number(_=None):
     return os.getpid()
+
+
+def threads_of_blas():
+    return {each["num_threads"] for each in blas._libraries().select(user_api="blas").info()}
 
 
 @pytest.fixture
@@ -66,3 +71,11 @@ def test_workers_are_replaced_where_a_file_has_changed(kept, tmp_path, monkeypat
     with pytest.raises(RuntimeError, match="dismissed"):
         kept.submit(number)
     team.dismiss(other)
+
+
+def test_a_spawned_process_has_one_thread_of_blas(monkeypatch):
+    for name in blas.VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    made = team.Team(0, 1)
+    assert made.submit(threads_of_blas).result() == {1}
+    made.shutdown()
