@@ -17,7 +17,8 @@ from estbench.experiment import setup
 from estbench.experiment.prepared import Setup
 from estbench.montecarlo import batch, executors, forecast, scaling, team
 from estbench.montecarlo import run as experiment
-from estbench.scenario.load import bundled, load
+from estbench.scenario.files import bundled
+from estbench.scenario.load import load
 
 BATCHES = 16
 """Of one measurement at least: fewer do not divide evenly."""

@@ -7,7 +7,7 @@ Prints results/estimators.md. Each robot's table is what `estbench run ROBOT -e 
 import argparse
 import sys
 
-from estbench.estimators import registry
+from estbench.estimators.names import BUILTIN
 from estbench.montecarlo import run as experiment
 from estbench.montecarlo.results import Results
 from estbench.tables.quantity import quantity
@@ -34,7 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--duration", type=float, default=5.0, help="s")
-    parser.add_argument("--only", nargs="*", default=list(registry.BUILTIN), help="estimators")
+    parser.add_argument("--only", nargs="*", default=list(BUILTIN), help="estimators")
     args = parser.parse_args()
     print("# Every estimator on two robots")
     print(

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from estbench.consistency.verdict import Verdict
 from estbench.montecarlo.run import run
-from estbench.scenario.load import bundled, load
+from estbench.scenario.files import bundled
+from estbench.scenario.load import load
 from estbench.tables.quantity import quantity
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -20,7 +20,7 @@ from estbench.montecarlo.executors import cpu_count
 from estbench.scenario.load import Chosen
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
-from estbench.simulation import controllers
+from estbench.simulation import controllers, kinds
 from estbench.simulation.controllers import Controller
 
 TRUTH, RAW = "truth", "raw"
@@ -126,8 +126,8 @@ def compare(
     if runs < 1:
         raise EnvError(f"runs is {runs}; use at least 1")
     if controller is not None:
-        if controller not in controllers.KINDS:
-            hint = did_you_mean(controller, controllers.KINDS)
+        if controller not in kinds.KINDS:
+            hint = did_you_mean(controller, kinds.KINDS)
             raise EnvError(f"no controller '{controller}'{hint}")
         overrides = [f"control.kind={controller}", *overrides]
     if duration is not None:

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from estbench.estimators import registry
+from estbench.estimators.names import BUILTIN
 from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import trajectory
 from estbench.models.differences import Differences
@@ -33,7 +33,7 @@ CONTINUOUS = {"cd_ekf"}  # they need a ContinuousModel
 PEERS = {"filterpy_ekf", "filterpy_ukf", "stonesoup_ekf", "stonesoup_ukf"}  # slow, and optional
 LEGGED = {"contact_ekf", "contact_inekf", "gtsam_inekf"}  # they need a robot with legs
 OTHER = {"imm", "robust_ekf", "adaptive_ekf"}  # they depart from the Kalman filter on purpose
-ESTIMATORS = sorted(registry.BUILTIN.keys() - PEERS - LEGGED)
+ESTIMATORS = sorted(BUILTIN.keys() - PEERS - LEGGED)
 DISCRETE = [name for name in ESTIMATORS if name not in CONTINUOUS]
 EXACT = [name for name in DISCRETE if name not in SAMPLED | OTHER]
 """Estimators that on a linear-Gaussian model are the Kalman filter."""

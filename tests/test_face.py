@@ -23,6 +23,8 @@ smoothable: estbench.FilterHistory = history  # what a smoother takes
 assert_type(estbench.run("pendulum", ["ekf"], runs=2), estbench.Results)
 """
 
+HEAVY = {"mujoco", "numpy", "jaxtyping", "xarray", "zarr", "scipy", "gymnasium", "matplotlib"}
+
 
 def test_the_public_names():
     shown = dir(estbench)
@@ -55,8 +57,7 @@ def test_nothing_heavy_is_imported_before_it_is_used():
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    heavy = {"mujoco", "numpy", "scipy", "gymnasium", "pydantic", "typer", "xarray", "zarr"}
-    assert not heavy & set(loaded.stdout.split())
+    assert not {*HEAVY, "pydantic", "typer", "rich"} & set(loaded.stdout.split())
 
 
 def test_a_users_script_passes_mypy(tmp_path):
@@ -81,10 +82,21 @@ def test_a_users_script_passes_mypy(tmp_path):
         assert f"bad.py:{line}: error" in done.stdout, done.stdout
 
 
-@pytest.mark.parametrize("arguments", [["list"], ["run", "cartpol"], ["check", "pendulm.toml"]])
-def test_what_a_command_does_not_need_is_not_imported(arguments):
-    code = f"import sys; from estbench.commands.cli import main; sys.argv[1:] = {arguments}\n"
-    code += "try: main()\nexcept SystemExit: pass\nprint('modules:', *sys.modules)"
+@pytest.mark.parametrize(
+    ("arguments", "said", "unneeded"),
+    [
+        ("--help", "Which filter", {"pydantic", "estbench.scenario"}),
+        ("list", "cartpole", {"rich.progress", "estbench.scenario.schema"}),
+        ("run cartpol", "did you mean 'cartpole'", {"estbench.scenario.schema"}),
+        ("check pendulm.toml", "no file 'pendulm.toml'", {"estbench.scenario.schema"}),
+        ("check pendulum --set simulation.rums=3", "did you mean 'runs'", set()),
+        ("run pendulum -e efk", "did you mean 'ekf'", set()),
+    ],
+)
+def test_what_a_command_does_not_need_is_not_imported(arguments, said, unneeded):
+    code = f"import sys; from estbench.commands.cli import main; sys.argv[1:] = {arguments.split()}"
+    code += "\ntry: main()\nexcept SystemExit: pass\nprint('modules:', *sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    modules = done.stdout.rpartition("modules:")[2].split()
-    assert not {"xarray", "zarr", "scipy", "gymnasium", "matplotlib"} & set(modules)
+    shown, _, modules = done.stdout.rpartition("modules:")
+    assert said in shown + done.stderr
+    assert not (HEAVY | unneeded) & set(modules.split())

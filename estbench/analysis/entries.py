@@ -14,6 +14,7 @@ from estbench.analysis.leaderboard import RUNS, WHOLE, play, robots
 from estbench.consistency.intervals import Interval
 from estbench.errors import AnalysisError, EstbenchError, did_you_mean
 from estbench.estimators import registry
+from estbench.estimators.names import BUILTIN, GROUP, known
 from estbench.experiment.setup import build
 from estbench.logs.replay import Replayed, replay
 from estbench.scenario.load import resolve
@@ -52,17 +53,17 @@ def estimators_of(package: str) -> dict[str, str]:
         registry.resolve(package)
         return {package.rpartition(":")[2]: package}
     try:
-        points = distribution(package).entry_points.select(group=registry.GROUP)
+        points = distribution(package).entry_points.select(group=GROUP)
     except (PackageNotFoundError, ValueError):
-        if package in registry.known():
+        if package in known():
             return {package: package}
-        hint = did_you_mean(package, registry.known())
+        hint = did_you_mean(package, known())
         raise AnalysisError(
             f"no installed package or estimator '{package}'{hint}; install it, or use module:Name"
         ) from None
     if not points:
         raise AnalysisError(
-            f"package '{package}' has no entry point of the group '{registry.GROUP}'; add one, or "
+            f"package '{package}' has no entry point of the group '{GROUP}'; add one, or "
             "use module:Name"
         )
     return {point.name: point.value for point in points}
@@ -209,7 +210,7 @@ def _named(name: str, label: str, package: str) -> dict[str, Any]:
     try:
         known = version(package if ":" not in package else top)
     except (PackageNotFoundError, ValueError):
-        known = version("estbench") if package in registry.BUILTIN else ""
+        known = version("estbench") if package in BUILTIN else ""
     return {"scenario": name, "estimator": label, "package": package, "package_version": known}
 
 

@@ -9,7 +9,8 @@ from estbench.consistency.scores import score
 from estbench.errors import AnalysisError, DimensionError, EstimatorError, StoreError
 from estbench.experiment.setup import build
 from estbench.montecarlo.run import run
-from estbench.scenario.load import bundled, resolve
+from estbench.scenario.files import bundled
+from estbench.scenario.load import resolve
 
 RUNS = 60
 """Default count of runs: minutes on two cores; NEES/n is known to a few percent."""

@@ -1,7 +1,7 @@
 """What `estbench list` prints: scenarios, estimators, controllers and sensor types."""
 
-import ast
 import importlib.util
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from estbench.errors import user_error_location
-from estbench.estimators import registry
-from estbench.robots import added_sensors, layout
-from estbench.scenario import load as scenario
-from estbench.simulation import controllers
+from estbench.estimators import names
+from estbench.robots import sensor_types
+from estbench.scenario import files
+from estbench.simulation import kinds
 
 
 def catalogue() -> dict[str, dict[str, str]]:
@@ -22,13 +22,11 @@ def catalogue() -> dict[str, dict[str, str]]:
     return {
         "scenarios": {
             name: tomllib.loads(path.read_text(encoding="utf-8"))["description"]
-            for name, path in scenario.bundled().items()
+            for name, path in files.bundled().items()
         },
-        "estimators": {name: _first_line(target) for name, target in registry.known().items()},
-        "controllers": controllers.KINDS,
-        "sensor types": {
-            name: layout.SENSOR_UNITS.get(name, "") for name in added_sensors.SENSOR_TYPES
-        },
+        "estimators": {name: _first_line(target) for name, target in names.known().items()},
+        "controllers": kinds.KINDS,
+        "sensor types": sensor_types.UNITS,
     }
 
 
@@ -45,16 +43,16 @@ def _first_line(target: str) -> str:
 
 
 def _written(module: str, name: str) -> str | None:
-    """The docstring of a class in the source of its module; None where it is not there.
+    """First line of a class's docstring in the source of its module; None where it is not there.
 
     To import all estimators takes a second.
     """
     found = importlib.util.find_spec(module)
     if found is None or not found.origin or not found.origin.endswith(".py"):
         return None
-    body = ast.parse(Path(found.origin).read_bytes()).body
-    classes = [node for node in body if isinstance(node, ast.ClassDef) and node.name == name]
-    return ast.get_docstring(classes[-1]) if classes else None
+    source = Path(found.origin).read_text(encoding="utf-8")
+    line = re.search(rf'^class {re.escape(name)}\b[^:]*:\s+r?"""(.+)', source, re.MULTILINE)
+    return line[1].removesuffix('"""') if line else None
 
 
 def render() -> Group:

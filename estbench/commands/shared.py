@@ -9,13 +9,24 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estbench.errors import ExecutorError
 from estbench.tables.names import visible
 
+
+def _found(scenario: str) -> str:
+    """The name of a scenario that there is: a mistyped one is refused before anything is loaded."""
+    from estbench.scenario import files
+
+    files.find(scenario)
+    return scenario
+
+
 Scenario = Annotated[
-    str, typer.Argument(help="bundled name, scenario .toml, MJCF .xml, or a results folder")
+    str,
+    typer.Argument(
+        callback=_found, help="bundled name, scenario .toml, MJCF .xml, or a results folder"
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,
@@ -86,6 +97,8 @@ def progress(total: int) -> Iterator[Callable[[int, int], None]]:
         A function of the finished runs and of all runs.
     """
     if sys.stderr.isatty():
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
         columns = (
             TextColumn("{task.completed:.0f}/{task.total:.0f} runs"),
             BarColumn(),

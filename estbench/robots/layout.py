@@ -5,26 +5,12 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from estbench.robots.sensor_types import JOINT_UNITS, UNITS
 from estbench.spaces.manifold import Manifold
 
 FREE, BALL, SLIDE, HINGE = range(4)
 _QUATERNION = int(mujoco.mjtDataType.mjDATATYPE_QUATERNION)
 
-# Unit by MuJoCo sensor type; other types are dimensionless or defined by the user.
-SENSOR_UNITS = {
-    "touch": "N", "accelerometer": "m/s²", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
-    "torque": "N m", "magnetometer": "T", "rangefinder": "m", "camprojection": "pixel",
-    "tendonpos": "m", "tendonvel": "m/s", "actuatorfrc": "N", "tendonactfrc": "N",
-    "ballquat": "rad", "ballangvel": "rad/s", "framepos": "m", "framequat": "rad",
-    "framelinvel": "m/s", "frameangvel": "rad/s", "framelinacc": "m/s²", "frameangacc": "rad/s²",
-    "subtreecom": "m", "subtreelinvel": "m/s", "subtreeangmom": "kg m²/s", "geomdist": "m",
-    "geomfromto": "m", "clock": "s", "e_potential": "J", "e_kinetic": "J",
-}  # fmt: skip
-_JOINT_SENSORS = {
-    "jointpos": ("m", "rad"), "jointvel": ("m/s", "rad/s"), "jointactfrc": ("N", "N m"),
-    "jointlimitpos": ("m", "rad"), "jointlimitvel": ("m/s", "rad/s"),
-    "jointlimitfrc": ("N", "N m"),
-}  # fmt: skip
 _AXES = ("x", "y", "z")
 
 
@@ -102,10 +88,10 @@ def sensor_name(model: mujoco.MjModel, index: int) -> str:
 def sensor_unit(model: mujoco.MjModel, index: int) -> str:
     """Unit of the tangent coordinates of a sensor."""
     kind = sensor_type(model, index)
-    if kind in _JOINT_SENSORS:
-        slide, hinge = _JOINT_SENSORS[kind]
+    if kind in JOINT_UNITS:
+        slide, hinge = JOINT_UNITS[kind]
         return slide if model.jnt_type[model.sensor_objid[index]] == SLIDE else hinge
-    return SENSOR_UNITS.get(kind, "1")
+    return UNITS.get(kind) or "1"
 
 
 def suffixes(n: int) -> list[str]:

@@ -9,25 +9,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from estbench.errors import EstimatorError, ScenarioError, did_you_mean, given_path, shown
-from estbench.estimators import registry
-from estbench.scenario import code, reference
+from estbench.errors import EstimatorError, ScenarioError, did_you_mean, shown
+from estbench.estimators.names import known, name_of
+from estbench.scenario import code, files, reference
 from estbench.scenario.mistakes import explain
 from estbench.scenario.schema import Scenario, SimulationSection, StartSection
 
-__all__ = ["Scenario", "bundled", "changes", "load", "override", "parse", "resolve", "start"]
-
-
-def bundled() -> dict[str, Path]:
-    """The scenarios that ship with estbench: name -> path of its TOML file.
-
-    `assets/NAME/scenario.toml` is NAME; another `assets/NAME/OTHER.toml` is OTHER.
-    """
-    root = Path(str(resources.files("estbench") / "assets"))
-    found = {}
-    for path in sorted(root.glob("*/*.toml")):
-        found[path.parent.name if path.stem == "scenario" else path.stem] = path
-    return found
+__all__ = ["Scenario", "changes", "load", "override", "parse", "resolve", "start"]
 
 
 def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -42,7 +30,7 @@ def load(source: str | Path, overrides: Sequence[str] = ()) -> Scenario:
             are listed; or it is of somebody else and names code (see `scenario.code`).
     """
     _check_overrides(overrides)
-    path = _find(source)
+    path = files.find(source)
     if path.suffix.lower() == ".xml":
         data: dict[str, Any] = {"name": path.stem, "model": {"path": path.name}}
     else:
@@ -142,13 +130,13 @@ def _check_options(options: Sequence[str]) -> None:
         ) from None
 
 
-def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def _chosen(estimators: Chosen, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Label -> settings of the estimators to run, from the scenario's tables where they exist."""
     several = [estimators] if isinstance(estimators, str | type) else estimators
     chosen: dict[str, dict[str, Any]] = {}
-    for name in map(registry.name_of, several):
-        if name not in known and ":" not in name and name not in registry.known():
-            hint = did_you_mean(name, {**registry.known(), **known})
+    for name in map(name_of, several):
+        if name not in tables and ":" not in name and name not in known():
+            hint = did_you_mean(name, {**known(), **tables})
             raise EstimatorError(f"no estimator '{name}'{hint}")
         label = name.rpartition(":")[2]
         if not label:
@@ -157,7 +145,7 @@ def _chosen(estimators: Chosen, known: dict[str, dict[str, Any]]) -> dict[str, d
             )
         if label in chosen:
             raise EstimatorError(f"estimator '{label}' is named twice; give each its own label")
-        own = known.get(label, {})
+        own = tables.get(label, {})
         if label != name and own.get("type", name) != name:
             raise EstimatorError(
                 f"estimator '{name}': the label '{label}' is that of the scenario's "
@@ -225,31 +213,6 @@ def _check_overrides(overrides: object) -> None:
         or not all(isinstance(text, str) for text in overrides)
     ):
         raise ScenarioError(f"overrides is {shown(overrides)}; use a list of 'section.key=value'")
-
-
-def _find(source: str | Path) -> Path:
-    """The TOML or MJCF file of a scenario.
-
-    Raises:
-        ScenarioError: there is none.
-    """
-    path = given_path("scenario", source, ScenarioError)
-    if path.is_dir() and (path / "scenario.toml").is_file():
-        return path / "scenario.toml"
-    if path.is_file() and path.suffix.lower() in (".toml", ".xml"):
-        return path.resolve()
-    if path.is_file():
-        raise ScenarioError(f"{source} is neither .toml nor .xml; name a scenario or an MJCF file")
-    known = bundled()
-    if str(source) in known:
-        return known[str(source)]
-    near = [
-        f"'{path}{suffix}'" for suffix in (".toml", ".xml") if Path(f"{path}{suffix}").is_file()
-    ]
-    if near:
-        raise ScenarioError(f"no scenario '{source}' (did you mean {' or '.join(near)}?)")
-    kind = "file" if path.suffix in (".toml", ".xml") else "scenario"
-    raise ScenarioError(f"no {kind} '{source}'{did_you_mean(str(source), known)}")
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

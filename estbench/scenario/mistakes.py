@@ -6,7 +6,6 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from estbench.errors import did_you_mean
-from estbench.robots import parameters
 from estbench.scenario.quantities import Section
 
 _OTHER = {"string_type", "list_type", "float_type", "int_type", "dict_type"}
@@ -71,6 +70,8 @@ def _dotted(error: Any) -> str:
         return ""
     if len(path) < at + 3 or "." in path[at + 1]:  # it has its quotes
         return ""
+    from estbench.robots import parameters  # with MuJoCo, for this mistake only
+
     field, key, table = path[at + 1], ".".join(path[at + 1 :]), ".".join(path[: at + 1])
     wrong = parameters.unknown_field(field)
     return f'{table}: {wrong + "; " if wrong else ""}quote a key with a dot: {path[at]}."{key}"'

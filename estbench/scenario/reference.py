@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.estimators import registry
+from estbench.estimators.names import BUILTIN, known
 from estbench.scenario.schema import Scenario
 
 EKFS = ("ekf", "sr_ekf", "iekf", "cd_ekf", "schmidt_ekf", "bias_ekf")
@@ -57,16 +57,15 @@ def seen(scenario: Scenario) -> str:
 
 def is_ekf(table: Mapping[str, Any]) -> bool:
     """Whether the table of an estimator, with its `type`, is of one of `EKFS`."""
-    names = registry.BUILTIN
-    return names.get(table["type"], table["type"]) in {names[name] for name in EKFS}
+    return BUILTIN.get(table["type"], table["type"]) in {BUILTIN[name] for name in EKFS}
 
 
 def _table(name: str | None, tables: Tables) -> dict[str, Any]:
     """The table, with its `type`, of a label, of another estimator's name, or of the default."""
     typed = {label: {"type": label, **table} for label, table in tables.items()}
     if name is not None:
-        if name not in typed and ":" not in name and name not in registry.known():
-            hint = did_you_mean(name, {**registry.known(), **typed})
+        if name not in typed and ":" not in name and name not in known():
+            hint = did_you_mean(name, {**known(), **typed})
             raise ScenarioError(f"control.estimator: no estimator '{name}'{hint}")
         return typed.get(name, {"type": name})
     exact = (

@@ -13,11 +13,15 @@ import numpy as np
 from rich.console import Console, RenderableType
 from rich.text import Text
 
+from estbench.spaces.patterns import is_number
 from estbench.tables.columns import Table
-from estbench.tables.names import cell
+from estbench.tables.names import visible
 
 if TYPE_CHECKING:
     import xarray as xr
+
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+"""First characters of a cell that a spreadsheet takes for a formula."""
 
 
 def text(tables: Sequence[Table], width: int = 100) -> str:
@@ -83,13 +87,21 @@ def latex(tables: Sequence[Table]) -> str:
 def comma_separated(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
     """CSV with a line of headings; a row's cell is empty where it has no such key.
 
-    A text that a spreadsheet would take for a formula is quoted (`names.cell`).
+    A text that a spreadsheet would take for a formula begins with a quote.
     """
     file = io.StringIO()
     writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows({key: cell(value) for key, value in row.items()} for row in rows)
+    writer.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
     return file.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A value as CSV shows it."""
+    if not isinstance(value, str):
+        return value
+    quote = "'" if value.startswith(FORMULAS) and not is_number(value) else ""
+    return quote + visible(value)
 
 
 _LATEX = {

@@ -7,8 +7,8 @@ import pytest
 import estbench
 from estbench.analysis import board, leaderboard
 from estbench.errors import AnalysisError, EstbenchError, StoreError
-from estbench.estimators import registry
-from estbench.scenario.load import bundled
+from estbench.estimators import names
+from estbench.scenario.files import bundled
 
 NAMES = ("ekf", "ukf", "kf", "ghkf", "pf")
 
@@ -121,7 +121,7 @@ def test_an_interruption_writes_nothing(tmp_path, monkeypatch):
 
 
 def test_the_main_estimators_exist_and_so_do_their_robots():
-    assert set(leaderboard.MAIN) <= set(registry.known())
+    assert set(leaderboard.MAIN) <= set(names.known())
     assert {"ekf", "ukf"} <= set(leaderboard.MAIN)
     assert {"acrobot", "cartpole", "pendulum", "quadrotor"} <= set(leaderboard.robots())
     assert "cartpole_imu" in set(bundled()) - set(leaderboard.robots())

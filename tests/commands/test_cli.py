@@ -14,7 +14,7 @@ import estbench
 from estbench.commands import cli, run
 from estbench.errors import EstimatorError
 from estbench.estimators.ekf import EKF
-from estbench.scenario.load import bundled
+from estbench.scenario.files import bundled
 
 SCRIPT = Path(sys.executable).with_name("estbench")
 SHORT = ("--runs", "4", "--duration", "0.1")
@@ -528,7 +528,7 @@ def test_a_terminal_without_greek(folder):
 
 
 def test_a_graphics_library_that_does_not_exist(folder):
-    process = start("list", env=os.environ | {"MUJOCO_GL": "foo"})
+    process = start("check", "pendulum", env=os.environ | {"MUJOCO_GL": "foo"})
     out, err = process.communicate(timeout=60)
     assert_refused(process.returncode, out, err, "MUJOCO_GL is 'foo'; use egl, osmesa, glfw")
 

@@ -7,6 +7,7 @@ from estbench.envs.task import Task
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
 from estbench.experiment import setup
 from estbench.scenario import load as scenario
+from estbench.scenario.files import bundled
 
 
 def task(name="cartpole", *overrides):
@@ -43,7 +44,7 @@ def test_horizon():
     assert task("cartpole", "model.frame_skip=5", "task.horizon=1").steps == 20
 
 
-@pytest.mark.parametrize("name", scenario.bundled())
+@pytest.mark.parametrize("name", bundled())
 def test_bundled_tasks_fit_their_robots(name):
     t = task(name)
     assert not t.outside(t.goal[None])[0]

@@ -10,6 +10,7 @@ from estbench.errors import EstimatorError, MissingExtraError
 from estbench.estimators import registry
 from estbench.estimators.adapters import stonesoup
 from estbench.estimators.beliefs import Fault
+from estbench.estimators.names import BUILTIN
 from estbench.estimators.protocol import Estimator
 from estbench.montecarlo import run as experiment
 from tests.helpers import PEERS, linear_model, mujoco_model, nonlinear_model, random_cov
@@ -116,4 +117,4 @@ def test_neither_is_imported_before_it_is_used(monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", watched)
     for name in OURS:
-        importlib.reload(importlib.import_module(registry.BUILTIN[name].partition(":")[0]))
+        importlib.reload(importlib.import_module(BUILTIN[name].partition(":")[0]))

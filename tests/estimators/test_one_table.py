@@ -8,7 +8,7 @@ import pytest
 from benchmarks import contact
 from benchmarks import estimators as benchmark
 from benchmarks.contact_conditions import CONDITIONS
-from estbench.estimators import registry
+from estbench.estimators.names import BUILTIN
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.scenario.schema import Scenario
@@ -25,7 +25,7 @@ ALIKE = [
 
 @pytest.mark.parametrize("robot", ["pendulum", "cartpole"])
 def test_all_of_them(robot):
-    names = [name for name in registry.BUILTIN if name not in LEGGED]
+    names = [name for name in BUILTIN if name not in LEGGED]
     results = experiment.run(robot, names, runs=3, duration=0.2, overrides=SMALL)
     assert [s.label for s in results.summaries] == names
     rmse = {name: [i.value for i in results[name].rmse] for name in names}

@@ -9,7 +9,7 @@ import pytest
 
 from estbench.commands import catalogue
 from estbench.errors import EstimatorError
-from estbench.estimators import registry
+from estbench.estimators import names, registry
 from estbench.estimators.ekf import EKF
 from estbench.estimators.protocol import Estimator
 from estbench.estimators.ukf import UKF
@@ -61,7 +61,7 @@ def test_known_and_resolve():
     assert registry.resolve("ekf") is EKF
     assert registry.resolve("ukf") is UKF
     assert registry.resolve("estbench.estimators.ekf:EKF") is EKF
-    assert set(registry.BUILTIN) <= set(registry.known())
+    assert set(names.BUILTIN) <= set(names.known())
 
 
 def test_the_label_is_the_type_unless_one_is_given():
@@ -180,7 +180,7 @@ def test_an_installed_packages_entry_point(tmp_path, monkeypatch):
         "[estbench.estimators]\ntheirs = their_filters:Good\nbroken = nothing_there:Good\n"
     )
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    assert registry.known()["theirs"] == "their_filters:Good"
+    assert names.known()["theirs"] == "their_filters:Good"
     filter = registry.create("theirs", {"gain": 2.0}, MODEL)
     assert (filter.model, filter.gain) == (MODEL, 2.0)
     with pytest.raises(EstimatorError, match=r"no estimator 'their' .did you mean 'theirs'"):
@@ -225,8 +225,8 @@ def shown(default):
 
 def test_every_estimator_is_documented_with_its_settings_and_their_defaults():
     described, settings = documented()
-    assert described == set(registry.BUILTIN)
-    for name, target in registry.BUILTIN.items():
+    assert described == set(names.BUILTIN)
+    for name, target in names.BUILTIN.items():
         module, _, attribute = target.partition(":")
         signature = inspect.signature(getattr(importlib.import_module(module), attribute))
         real = {p: shown(v.default) for p, v in signature.parameters.items() if p != "model"}

@@ -4,9 +4,9 @@ import pytest
 
 from estbench.errors import ScenarioError
 from estbench.experiment import setup
-from estbench.robots import added_sensors, compiling, layout, mjcf, parameters
+from estbench.robots import added_sensors, compiling, layout, mjcf, parameters, sensor_types
 from estbench.scenario import load as scenarios
-from estbench.scenario.load import bundled
+from estbench.scenario.files import bundled
 from estbench.scenario.schema import AddSensor
 from tests.helpers import ZOO, zoo_model
 
@@ -159,6 +159,11 @@ def test_sensors_are_added_to_a_gymnasium_model(kind, obj, object_type, width):
     if obj:
         find = {"jointpos": model.joint, "jointvel": model.joint, "framepos": model.geom}
         assert model.sensor("added").objid[0] == find.get(kind, model.body)(obj).id
+
+
+def test_every_sensor_type_of_mujoco_is_listed():
+    assert list(sensor_types.UNITS) == list(added_sensors.SENSOR_TYPES)
+    assert all(not sensor_types.UNITS[kind] for kind in sensor_types.JOINT_UNITS)
 
 
 def test_site_sensors_need_no_object_type():

@@ -2,8 +2,8 @@ import json
 import tomllib
 from pathlib import Path
 
+from estbench.scenario.files import bundled
 from estbench.scenario.json_schema import json_schema
-from estbench.scenario.load import bundled
 from estbench.scenario.schema import Scenario
 
 ROOT = Path(__file__).parents[2]

@@ -3,7 +3,8 @@ import pytest
 from estbench.errors import EstimatorError, ScenarioError
 from estbench.estimators.ekf import EKF
 from estbench.robots import mjcf
-from estbench.scenario.load import bundled, load, override, resolve
+from estbench.scenario.files import bundled
+from estbench.scenario.load import load, override, resolve
 
 MINIMAL = 'name = "mine"\n[model]\npath = "robot.xml"\n'
 

@@ -11,7 +11,7 @@ from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.robots import backend
 from estbench.scenario.schema import ControlSection
-from estbench.simulation import controllers
+from estbench.simulation import controllers, kinds
 from tests.helpers import zoo_model
 
 
@@ -70,7 +70,7 @@ def test_a_table_that_will_be_clamped_is_noticed_by_run(tmp_path):
 
 
 def test_every_kind_is_described():
-    assert set(controllers.KINDS) == set(ControlSection.model_fields["kind"].annotation.__args__)
+    assert set(kinds.KINDS) == set(ControlSection.model_fields["kind"].annotation.__args__)
 
 
 def test_none_holds_the_keyframes_control():

@@ -9,7 +9,8 @@ import estbench
 from estbench.commands import cli
 from estbench.errors import ScenarioError
 from estbench.experiment import setup
-from estbench.scenario.load import bundled, load
+from estbench.scenario.files import bundled
+from estbench.scenario.load import load
 from estbench.starter import control, noise
 from estbench.starter.create import create
 from estbench.starter.robot import EARTH, Robot
