@@ -1,12 +1,12 @@
 """What the linear filters share: P⁻, and the update with P⁺ in one of three forms."""
 
-from typing import Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 
 from estbench.estimators.beliefs import Gaussian
-from estbench.estimators.protocol import Gain, Innovation
-from estbench.estimators.update import Correction, apply_correction, correct
+from estbench.estimators.protocol import Innovation
+from estbench.estimators.update import Correction, Update, apply_correction, correct, looped
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces import fused
 from estbench.spaces.linalg import identity, pad_absent, symmetrize
@@ -51,16 +51,18 @@ def linear_update(
         mask: True where a component arrived; None if all did.
         form: form of the covariance, see `posterior_cov`.
     """
-    loop = fused.updated(belief.cov, H, R, residual) if form == "joseph" and mask is None else None
-    if loop is not None:
-        dof = np.array([H.shape[-2]]).repeat(len(residual))
-        gain = Gain(loop.W.mT, loop.lower)
-        innovation = Innovation(residual, loop.S, loop.white, loop.nis, dof, loop.lower, gain=gain)
-        return cast(Belief, apply_correction(space, belief, loop.delta, loop.cov)), innovation
-    PHt = belief.cov @ H.mT
-    c = correct(residual, symmetrize(H @ PHt + R), PHt, mask)
-    cov = symmetrize(posterior_cov(form, belief.cov, c, H, R))
-    return cast(Belief, apply_correction(space, belief, c.delta, cov, c.fault)), c.innovation
+
+    def numpy(rows: Any, mask: Bool[Mask, "run m"] | None) -> Update:
+        P, jacobian, noise = belief.cov[rows], H[rows], R if R.ndim == 2 else R[rows]
+        PHt = P @ jacobian.mT
+        c = correct(residual[rows], symmetrize(jacobian @ PHt + noise), PHt, mask)
+        cov = symmetrize(posterior_cov(form, P, c, jacobian, noise))
+        return Update(c.delta, cov, c.innovation, c.fault)
+
+    loop = fused.updated(belief.cov, H, R, residual) if form == "joseph" else None
+    found = looped(loop, residual, mask, numpy)
+    posterior = apply_correction(space, belief, found.delta, found.cov, found.fault)
+    return cast(Belief, posterior), found.innovation
 
 
 def posterior_cov(

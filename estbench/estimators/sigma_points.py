@@ -6,7 +6,10 @@ from functools import cached_property
 import numpy as np
 
 from estbench.shapes import Array, Float
+from estbench.spaces import fused
+from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import Manifold
+from estbench.spaces.semidefinite import psd_root
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +32,29 @@ class SigmaPoints:
         """The points x̂ ⊞ L ξ for a factor L of P."""
         return space.plus(mean[:, None], self.points @ lower.mT)
 
+    def around(
+        self, space: Manifold, mean: Float[Array, "run nx"], cov: Float[Array, "run n n"]
+    ) -> tuple[Float[Array, "run point nx"], Float[Array, "run point n"]]:
+        """The points x̂ ⊞ L ξ, and L ξ, for a square root L of P; NaN where P has none."""
+        loop = fused.drawn(mean, cov, self.points) if space.flat else None
+        if loop is None:
+            spread = self.points @ psd_root(cov).mT
+            return space.plus(mean[:, None], spread), spread
+        points, spread = loop
+        if not surely_finite(spread):
+            rest = ~np.isfinite(spread).all(axis=(-2, -1))
+            spread[rest] = self.points @ psd_root(cov[rest]).mT
+            points[rest] = mean[rest, None] + spread[rest]
+        return points, spread
+
     def moments(
         self, space: Manifold, values: Float[Array, "run point nx"]
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"], Float[Array, "run n n"]]:
         """Mean of the values, their residuals from it, and their covariance."""
+        if space.flat:
+            values = self.on_line(space, values)
+            if loop := fused.moments(values, self.mean_weights, self.cov_weights):
+                return loop
         mean, residual = self.residuals(space, values)
         return mean, residual, self.cross(residual, residual)
 

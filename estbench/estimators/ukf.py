@@ -6,14 +6,14 @@ import numpy as np
 
 from estbench.estimators.beliefs import Fault, Gaussian, GaussianEstimator
 from estbench.estimators.no_return import extended
+from estbench.estimators.points import points_update
 from estbench.estimators.protocol import Innovation
 from estbench.estimators.settings import has_model, scaled_rule, switch
 from estbench.estimators.sigma_points import SigmaPoints, scaled
-from estbench.estimators.update import apply_correction, correct, mark_failed
+from estbench.estimators.update import apply_correction, mark_failed
 from estbench.models.protocol import Channels, Model
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
 from estbench.spaces.linalg import symmetrize
-from estbench.spaces.semidefinite import psd_root
 
 PREDICTION, MEASUREMENT = range(2)
 """What sigma points are drawn for."""
@@ -56,8 +56,8 @@ class SigmaPointFilter(GaussianEstimator):
 
     def predict(self, belief: Gaussian, u: Float[Array, "run nu"], t: float, dt: float) -> Gaussian:
         """x̂⁻ and P⁻ from the propagated points, P⁻ += Q (source 003, eq. 10)."""
-        factor, rule = psd_root(belief.cov), self.rule_at(belief, PREDICTION)
-        points = rule.draw(self.model.space, belief.mean, factor)
+        rule = self.rule_at(belief, PREDICTION)
+        points, spread = rule.around(self.model.space, belief.mean, belief.cov)
         points = self.model.transition(points, u, t, dt)
         mean, residual, cov = rule.moments(self.model.space, points)
         noise = self.model.process_noise(belief.mean, u, t, dt)
@@ -67,7 +67,7 @@ class SigmaPointFilter(GaussianEstimator):
         if not self.redraw:
             kept = {"points": self.rule.on_line(self.model.space, points), "noise": noise}
         prior = replace(belief, mean=mean, cov=symmetrize(cov + noise), **kept)
-        return self.drawn(mark_failed(prior, failed_factor(factor, belief.cov)))
+        return self.drawn(mark_failed(prior, failed_factor(spread, belief.cov)))
 
     def update(
         self,
@@ -80,19 +80,15 @@ class SigmaPointFilter(GaussianEstimator):
     ) -> tuple[Gaussian, Innovation]:
         """x̂⁺ and P⁺ = P⁻ - K S Kᵀ with Pxy, S from the points' images (source 003, eq. 11).
 
-        P⁺ is computed as Σ wᵢ rᵢ rᵢᵀ + K R Kᵀ with rᵢ = (xᵢ ⊖ x̂⁻) - K (h(xᵢ) ⊖ ŷ), the points' form
-        of Joseph's: it keeps P semidefinite, and its digits where P⁺ is much smaller than P⁻. What
-        S and P⁻ contain beside the points' covariance is treated as R and as noise of x̂⁻.
+        What S and P⁻ contain beside the points' covariance is treated as R and as noise of x̂⁻.
         """
         space, output = self.model.space, self.model.output(channels)
         fault = np.zeros(len(y), np.uint8)
         points, noise = getattr(belief, "points", None), getattr(belief, "noise", None)
         redrawn, rule = points is None, self.rule_at(belief, MEASUREMENT)
         if points is None:
-            factor = psd_root(belief.cov)
-            fault = failed_factor(factor, belief.cov)
-            spread = rule.points @ factor.mT
-            points = space.plus(belief.mean[:, None], spread)
+            points, spread = rule.around(space, belief.mean, belief.cov)
+            fault = failed_factor(spread, belief.cov)
         else:
             spread = space.line.minus(points, belief.mean[:, None])
         images = self.model.measurement(points, u, t, channels)
@@ -101,15 +97,12 @@ class SigmaPointFilter(GaussianEstimator):
         R = self.model.measurement_noise(t, channels)
         if self.omega and redrawn:
             R = R + self.omega * rule.regress(residuals, S)[1]
-        cross = rule.cross(spread, residuals)
-        c = correct(output.minus(y, predicted), symmetrize(S + R), cross, mask)
-        left = spread - residuals @ c.gain.mT
-        cov = rule.cross(left, left) + c.gain @ R @ c.gain.mT
-        cov = symmetrize(cov if noise is None else cov + noise)
+        found = points_update(rule, output.minus(y, predicted), spread, residuals, S, R, mask)
+        cov = found.cov if noise is None else symmetrize(found.cov + noise)
         prior = belief if redrawn else replace(belief, points=None, noise=None)
-        fault = np.where(fault, fault, c.fault)
-        posterior = apply_correction(space, prior, c.delta, cov, fault)
-        return self.drawn(posterior, c.innovation), c.innovation
+        fault = np.where(fault, fault, found.fault)
+        posterior = apply_correction(space, prior, found.delta, cov, fault)
+        return self.drawn(posterior, found.innovation), found.innovation
 
     def rule_at(self, belief: Gaussian, purpose: int) -> SigmaPoints:
         """The sigma points for one belief and one purpose, PREDICTION or MEASUREMENT."""
@@ -124,9 +117,9 @@ class SigmaPointFilter(GaussianEstimator):
 
 
 def failed_factor(
-    factor: Float[Array, "run n n"], cov: Float[Array, "run n n"]
+    factor: Float[Array, "run k n"], cov: Float[Array, "run n n"]
 ) -> UInt[Faults, " run"]:
-    """`Fault.COVARIANCE` where a finite covariance has no square root."""
+    """`Fault.COVARIANCE` where a finite covariance has no square root: it or its points are NaN."""
     failed = ~np.isfinite(factor[:, 0, 0]) & np.isfinite(cov[:, 0, 0])
     return np.where(failed, Fault.COVARIANCE, Fault.NONE).astype(np.uint8)
 

@@ -1,7 +1,9 @@
 """The measurement update of the Gaussian filters: condition, correct, mark failures."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from estbench.estimators.beliefs import Fault, Gaussian
 from estbench.estimators.no_return import returned
 from estbench.estimators.protocol import Gain, Innovation
 from estbench.shapes import Array, Bool, Faults, Float, Mask, UInt
+from estbench.spaces import fused
 from estbench.spaces.linalg import cholesky, identity, pad_absent, solve_lower, surely_finite
 from estbench.spaces.manifold import Manifold
 
@@ -87,6 +90,64 @@ def correct(
         fault[~factored & np.isfinite(S).all(axis=(-2, -1))] = Fault.INNOVATION
     innovation = Innovation(residual, S, white, nis, dof, lower, gain=Gain(W.mT, lower))
     return Correction(delta, innovation, fault, W, joint[..., n + 1 :])
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """What an update changes.
+
+    Attributes:
+        delta: K ν.
+        cov: P⁺ in the tangent at x̂⁻.
+        innovation: ν, S, NIS and K.
+        fault: why a run failed, else `Fault.NONE`.
+    """
+
+    delta: Float[Array, "run n"]
+    cov: Float[Array, "run n n"]
+    innovation: Innovation
+    fault: UInt[Faults, " run"]
+
+
+def looped(
+    loop: fused.Updated | None,
+    residual: Float[Array, "run m"],
+    mask: Bool[Mask, "run m"] | None,
+    numpy: Callable[[Any, Bool[Mask, "run m"] | None], Update],
+) -> Update:
+    """The update of a compiled loop, and numpy's in the runs which the loop could not judge.
+
+    These are the ones where a component did not arrive, and those with an S without a factor or an
+    infinite residual. What happens in one run then changes no digit of another.
+
+    Args:
+        loop: None where numpy has to do all.
+        residual: ν.
+        mask: True where a component arrived; None if all did.
+        numpy: the update of the runs of an index, by the mask of these.
+    """
+    if loop is None:
+        return numpy(slice(None), mask)
+    run, m = residual.shape
+    left = np.zeros(run, bool) if mask is None else ~np.all(mask, axis=-1)
+    if not surely_finite(loop.nis):
+        left = left | (~np.isfinite(loop.nis) & np.isfinite(loop.S).all(axis=(-2, -1)))
+    fault, dof = np.zeros(run, np.uint8), np.full(run, m)
+    if np.count_nonzero(left):
+        part = numpy(left, None if mask is None else mask[left])
+        inn, residual = part.innovation, residual.copy()
+        assert isinstance(inn.gain, Gain)
+        whole = (*loop, fault, dof, residual)
+        rows = (
+            *(part.delta, part.cov, inn.cov, inn.factor, inn.gain.scaled.mT, inn.white, inn.nis),
+            *(part.fault, inn.dof, inn.residual),
+        )
+        for into, found in zip(whole, rows, strict=True):
+            assert found is not None
+            into[left] = found
+    gain = Gain(loop.W.mT, loop.lower)
+    innovation = Innovation(residual, loop.S, loop.white, loop.nis, dof, loop.lower, gain=gain)
+    return Update(loop.delta, loop.cov, innovation, fault)
 
 
 def apply_correction(

@@ -148,7 +148,8 @@ def test_an_experiment_does_not_depend_on_the_batches():
         for size in (1, 4)
     )
     np.testing.assert_array_equal(one["mse"], other["mse"])
-    np.testing.assert_array_equal(one["anees"], other["anees"])
+    # numpy adds one column of numbers in another order than several.
+    np.testing.assert_allclose(one["anees"], other["anees"], rtol=1e-14)
 
 
 def test_a_mode_has_another_rotation_in_each_step():
