@@ -267,7 +267,7 @@ def runs_needed(values: Float[Array, " run"], half_width: float, level: float = 
     """Runs for which Student's t interval of the mean has at most this half-width.
 
     The least N with t(N - 1) s/√N <= half_width, s from the values given; from few runs the answer
-    is as uncertain as their s. None where fewer than two values are finite.
+    is as uncertain as their s. None where fewer than two values are finite, and beyond 1e14 runs.
 
     Args:
         values: one per run, of a pilot experiment.
@@ -278,7 +278,10 @@ def runs_needed(values: Float[Array, " run"], half_width: float, level: float = 
     if len(values) < 2 or not half_width > 0:
         return None
     ratio = float(values.std(ddof=1)) / half_width
-    count = max(2, int((normal_quantile(level) * ratio) ** 2))
+    least = normal_quantile(level) * ratio
+    if least > 1e7:
+        return None
+    count = max(2, int(least**2))
     while student_quantile(level, count - 1) * ratio > np.sqrt(count):
         count += 1
     return count

@@ -144,6 +144,13 @@ def variant(setup: Setup, scenario: Scenario) -> Setup:
     return _with_estimators(replace(setup, scenario=scenario, shared=shared))
 
 
+def counted(setup: Setup, runs: int) -> Setup:
+    """The same experiment with another count of runs, on which nothing else in it depends."""
+    scenario = setup.scenario
+    simulation = scenario.simulation.model_copy(update={"runs": runs})
+    return replace(setup, scenario=scenario.model_copy(update={"simulation": simulation}))
+
+
 def _with_estimators(setup: Setup) -> Setup:
     """The experiment with what each estimator of its scenario believes; all are checked."""
     scenario, shared = setup.scenario, setup.shared

@@ -36,6 +36,7 @@ class Plan:
         shard: (i, n) computes the i-th of n shares of the batches.
         progress, say: as for `estbench.run`.
         notices: about a new store.
+        number: of the experiment in this process.
     """
 
     using: Pool
@@ -48,7 +49,8 @@ class Plan:
     shard: tuple[int, int] | None = None
     progress: Progress | None = None
     say: Say | None = None
-    notices: tuple[str, ...] = field(default=())
+    notices: tuple[str, ...] = ()
+    number: int = field(default_factory=lambda: next(dispatch.EXPERIMENTS))
 
 
 def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
@@ -66,7 +68,7 @@ def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
         batches = divided(prepared.scenario.simulation.runs, plan.size)
         wanted = {i: runs for i, runs in enumerate(batches) if i not in done}
         done, failed, interrupted = dispatch.compute(
-            prepared, wanted, plan.level, plan.using, None, done, plan.progress
+            prepared, wanted, plan.level, plan.using, None, done, plan.progress, plan.number
         )
         return _collect(prepared, batches, plan.level, done, failed, None, interrupted)
     target = _open(plan.out, prepared, plan)
@@ -79,7 +81,7 @@ def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
             plan.say(mixed)
         try:
             done, failed, interrupted = dispatch.compute(
-                prepared, wanted, target.keep, plan.using, target, done, plan.progress
+                prepared, wanted, target.keep, plan.using, target, done, plan.progress, plan.number
             )
             if interrupted:  # a worker may have written a batch and not reported it
                 _read(target, done)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from estbench.consistency.fields import Record
 from estbench.errors import ExecutorError, StoreError
-from estbench.experiment.prepared import Setup
+from estbench.experiment.setup import Setup, counted
 from estbench.montecarlo import worker
 from estbench.montecarlo.executors import is_whole
 from estbench.montecarlo.pool import Pool, work_off
@@ -54,6 +54,7 @@ def compute(
     target: Store | None,
     done: dict[int, dict[str, Record]],
     progress: Progress | None,
+    number: int,
 ) -> tuple[dict[int, dict[str, Record]], dict[int, Exception], bool]:
     """Compute batches, and write them where there is a store.
 
@@ -65,6 +66,7 @@ def compute(
         target: the store, or None.
         done: number -> summary records of the batches already finished; new ones are added.
         progress: called after each batch.
+        number: of the experiment; if runs are added to it, workers need not build it again.
 
     Returns:
         Number -> summary records, number -> error of a failed batch, and whether Ctrl-C came.
@@ -73,11 +75,12 @@ def compute(
         StoreError: the store cannot be written.
         EstbenchError: no batch can be computed.
     """
-    toml = prepared.scenario.to_toml()
+    toml = counted(prepared, 1).scenario.to_toml()
+    count = prepared.scenario.simulation.runs
     folder = None if target is None else str(target.folder.resolve())
-    number = next(EXPERIMENTS)
     tasks = [
-        worker.Task(toml, keep, folder, i, (r.start, r.stop), number) for i, r in batches.items()
+        worker.Task(toml, keep, folder, i, (r.start, r.stop), count, number)
+        for i, r in batches.items()
     ]
     failed: dict[int, Exception] = {}
     total, computed = sum(map(len, batches.values())), 0

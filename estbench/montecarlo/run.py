@@ -7,7 +7,7 @@ from typing import Literal
 
 from estbench.errors import ExecutorError, StoreError
 from estbench.experiment import unseen
-from estbench.experiment.setup import Setup, build
+from estbench.experiment.setup import Setup, build, counted
 from estbench.montecarlo import batch, dispatch, executors, forecast, scaling, stopping
 from estbench.montecarlo.completion import Done, Plan, complete
 from estbench.montecarlo.dispatch import Progress, Say
@@ -118,7 +118,7 @@ def _until(rule: stopping.Rule, prepared: Setup, plan: Plan) -> Results:
         for count in stopping.looks(size, most, begun):
             progress = _onwards(plan.progress, count, most)
             now = replace(plan, using=using, progress=progress)
-            results = complete(_with_runs(prepared, count), now, done)
+            results = complete(counted(prepared, count), now, done)
             plan = replace(plan, resume=True)
             if results.interrupted or results.failed or rule.met(results):
                 break
@@ -130,13 +130,6 @@ def _until(rule: stopping.Rule, prepared: Setup, plan: Plan) -> Results:
 def _onwards(progress: Progress | None, count: int, most: int) -> Progress | None:
     """The progress up to `count` runs as a part of the whole."""
     return progress and (lambda finished, wanted: progress(count - wanted + finished, most))
-
-
-def _with_runs(prepared: Setup, count: int) -> Setup:
-    """The same experiment with another count of runs."""
-    scenario = prepared.scenario
-    simulation = scenario.simulation.model_copy(update={"runs": count})
-    return replace(prepared, scenario=scenario.model_copy(update={"simulation": simulation}))
 
 
 def _check(

@@ -210,6 +210,9 @@ def test_runs_needed_of_nothing():
     assert intervals.runs_needed(np.array([1.0, np.nan]), 0.1) is None
     assert intervals.runs_needed(np.array([1.0, 2.0]), 0.0) is None
     assert intervals.runs_needed(np.array([1.0, 1.0]), 0.1) == 2
+    assert intervals.runs_needed(np.array([1.0, 2.0]), 1e-6) == pytest.approx(1.92e12, rel=1e-3)
+    assert intervals.runs_needed(np.array([1.0, 2.0]), 1e-9) is None
+    assert intervals.runs_needed(np.array([1.0, 2.0]), 1e-200) is None
 
 
 def test_the_interval_of_squares_that_underflow_is_that_of_larger_ones():

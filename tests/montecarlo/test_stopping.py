@@ -6,6 +6,8 @@ import pytest
 import estbench
 from estbench.consistency.scores import score
 from estbench.errors import EstimatorError, ExecutorError, ScenarioError
+from estbench.experiment.setup import build
+from estbench.montecarlo import pool, worker
 from estbench.montecarlo.stopping import looks, rule
 from estbench.scenario.load import resolve
 from tests.stores import run, same
@@ -44,6 +46,19 @@ def test_runs_are_added_until_the_interval_is_narrow(tmp_path):
     more = run(tmp_path / "x", runs=60, precision=0.2, resume=True, **STORED)
     assert more.runs[:count] == found.runs
     assert len(more.runs) > count
+
+
+def test_a_worker_builds_the_experiment_once_for_all_looks(tmp_path, monkeypatch):
+    def added(folder):
+        run(tmp_path / folder, runs=30, precision=0.01, workers=1, **STORED)
+        return len(built)
+
+    built = []
+    monkeypatch.setattr(worker, "build", lambda scenario: built.append(scenario) or build(scenario))
+    assert added("here") == 0  # a thread has what `run` has built
+    monkeypatch.setattr(pool._Here, "__call__", lambda here, task: here.function(task))
+    assert added("elsewhere") == 1  # another process, in which a task is all there is
+    same(tmp_path / "here", tmp_path / "elsewhere")
 
 
 def test_the_precision_may_be_that_of_two_estimators():
