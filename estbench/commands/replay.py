@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from estbench.commands.shared import Estimators, Json, Out, Overrides, console
+from estbench.commands.shared import Estimators, Json, Out, Overrides, console, destination
 from estbench.errors import LogError
 
 
@@ -56,11 +56,10 @@ def replay(
         raise LogError("no log is named; give the files of one after the scenario")
     from estbench.logs import replay as replaying
     from estbench.logs import results
-    from estbench.store import zarr as store
 
     resolved = resolve(scenario, estimator, overrides=overrides or ())
-    folder = out if out is not None else store.default_folder(resolved.name)
-    found = replaying.replay(resolved, logs, hold_out=hold_out or (), out=folder)
+    with destination(out, resolved.name) as folder:
+        found = replaying.replay(resolved, logs, hold_out=hold_out or (), out=folder)
     if as_json:
         print(results.to_json(found))
     else:

@@ -18,6 +18,7 @@ from estbench.commands.shared import (
     Shard,
     check_plot,
     console,
+    destination,
     progress,
     say,
     shares,
@@ -119,11 +120,9 @@ def run(
     changes = [*(overrides or ()), *(() if bound else ("bound=false",))]
     resolved = resolve(scenario, estimator, runs, seed, duration, changes)
     from estbench.montecarlo import run as experiment  # two seconds: a typo is named before
-    from estbench.store import zarr as store
 
-    continued = resume or shard is not None  # the folder exists: only the user can name it
-    folder = out if out is not None or continued else store.default_folder(resolved.name)
-    with progress(resolved.simulation.runs) as bar:
+    place = destination(out, resolved.name, resume or shard is not None)
+    with place as folder, progress(resolved.simulation.runs) as bar:
         results = experiment.run(
             resolved, out=folder, keep=keep, dtype=dtype, precision=precision,
             precision_of=pair(precision_of),

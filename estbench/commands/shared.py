@@ -87,6 +87,27 @@ def shares(text: str | None) -> tuple[int, int] | None:
 
 
 @contextmanager
+def destination(out: Path | None, name: str, continued: bool = False) -> Iterator[Path | None]:
+    """The folder of the results: `--out`, or a new one in `results`.
+
+    Args:
+        out: given by the user.
+        name: of the scenario.
+        continued: whether the folder exists, so that only the user can name it.
+
+    Yields:
+        The folder; None where the user should have named it.
+    """
+    if out is not None or continued:
+        yield out
+        return
+    from estbench.store import folders
+
+    with folders.named(name) as folder:
+        yield folder
+
+
+@contextmanager
 def progress(total: int) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on a terminal, one line every ten seconds elsewhere; both on standard error.
 

@@ -17,6 +17,7 @@ from estbench.commands.shared import (
     Shard,
     check_plot,
     console,
+    destination,
     progress,
     shares,
 )
@@ -71,7 +72,6 @@ def sweep(
 ) -> None:
     """Run the estimators for every combination of the values of some keys."""
     from estbench.scenario.load import resolve
-    from estbench.store import zarr as store
     from estbench.study import run as running
     from estbench.study import sweep as sweeping
 
@@ -85,10 +85,8 @@ def sweep(
     study = sweeping.design(resolved, over, sample, points)
     if plot is not None:
         sweeps.check(study, what or sweeps.DEFAULT)
-    continued = resume or shard is not None
-    folder = out if out is not None or continued else store.default_folder(resolved.name)
-    total = len(study.variants) * resolved.simulation.runs
-    with progress(total) as bar:
+    place = destination(out, resolved.name, resume or shard is not None)
+    with place as folder, progress(len(study.variants) * resolved.simulation.runs) as bar:
         found = running.run(
             study, out=folder, resume=resume, shard=shares(shard), executor=executor,
             address=address, workers=workers, progress=bar,

@@ -16,6 +16,7 @@ from estbench.commands.shared import (
     Seed,
     check_plot,
     console,
+    destination,
     say,
 )
 from estbench.errors import StudyError
@@ -99,7 +100,6 @@ def tune(
 ) -> None:
     """Fit what an estimator believes to the readings, and prove it on runs it has not seen."""
     from estbench.scenario.load import resolve
-    from estbench.store import zarr as store
     from estbench.tuning import parameters
     from estbench.tuning import tune as tuning
 
@@ -109,16 +109,16 @@ def tune(
         check_plot(plot)
     resolved = resolve(scenario, [estimator], runs, seed, duration, overrides or ())
     given = {"runs": runs, "duration": duration} if log else {}  # refused there
-    folder = out if out is not None or resume else store.default_folder(f"{resolved.name}-tuned")
     priors = dict(parameters.parse_prior(text) for text in prior or ())
-    tuned = tuning.tune(
-        resolved, next(iter(resolved.estimators)), free or (), objective=objective,
-        coordinates=dict(map(_weight, coordinate or ())),
-        priors={key: (p.centre, p.spread) for key, p in priors.items()}, method=method,
-        iterations=iterations, held_out=held_out, **given, logs=list(map(_files, log or ())),
-        held_out_logs=list(map(_files, held_out_log or ())), hold_out=hold_out or (), out=folder,
-        resume=resume, workers=workers, progress=_progress(),
-    )  # fmt: skip
+    with destination(out, f"{resolved.name}-tuned", resume) as folder:
+        tuned = tuning.tune(
+            resolved, next(iter(resolved.estimators)), free or (), objective=objective,
+            coordinates=dict(map(_weight, coordinate or ())),
+            priors={key: (p.centre, p.spread) for key, p in priors.items()}, method=method,
+            iterations=iterations, held_out=held_out, **given, logs=list(map(_files, log or ())),
+            held_out_logs=list(map(_files, held_out_log or ())), hold_out=hold_out or (),
+            out=folder, resume=resume, workers=workers, progress=_progress(),
+        )  # fmt: skip
     if as_json:
         print(tuned.to_json())
     else:

@@ -2,19 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from estbench.bounds import scenario as bounds
 from estbench.consistency.fields import Record
 from estbench.consistency.records import merge
 from estbench.consistency.summary import summarize
-from estbench.errors import Interrupted, StoreError
+from estbench.errors import Interrupted
 from estbench.experiment import long
 from estbench.experiment.setup import Setup
 from estbench.montecarlo import dispatch
 from estbench.montecarlo.dispatch import Progress, Say
 from estbench.montecarlo.pool import Pool
 from estbench.montecarlo.results import Results
+from estbench.store import folders
 from estbench.store.zarr import Store, divided
 
 Done = dict[int, dict[str, Record]]
@@ -71,7 +73,13 @@ def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
             prepared, wanted, plan.level, plan.using, None, done, plan.progress, plan.number
         )
         return _collect(prepared, batches, plan.level, done, failed, None, interrupted)
-    target = _open(plan.out, prepared, plan)
+    target = folders.opened(
+        plan.out,
+        plan.resume,
+        plan.shard is not None,
+        partial(Store.create, plan.out, prepared, plan.level, plan.size, plan.dtype),
+        partial(Store.reopen, plan.out, prepared, *plan.wanted),
+    )
     with target.lock(plan.shard):
         corrupted = _read(target, done)
         every = range(len(target.batches)) if plan.shard is None else _share(target, plan.shard)
@@ -98,18 +106,6 @@ def complete(prepared: Setup, plan: Plan, done: Done) -> Results:
             *(f"batch {i} of the store was corrupted and has been computed again" for i in again),
         ],
     )  # fmt: skip
-
-
-def _open(folder: Path, prepared: Setup, plan: Plan) -> Store:
-    """A new store, or the resumed one; of several shards the first makes it."""
-    if (plan.resume or plan.shard is not None) and folder.exists():
-        return Store.reopen(folder, prepared, *plan.wanted)
-    try:
-        return Store.create(folder, prepared, plan.level, plan.size, plan.dtype)
-    except StoreError:
-        if plan.shard is None or not folder.exists():
-            raise
-        return Store.reopen(folder, prepared, *plan.wanted)
 
 
 def _share(target: Store, shard: tuple[int, int]) -> range:

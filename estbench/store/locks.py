@@ -28,7 +28,7 @@ def _lock(path: Path, wait: bool = False) -> FileLock:
 
 
 @contextmanager
-def _passing(path: Path) -> Iterator[None]:
+def passing(path: Path) -> Iterator[None]:
     """Hold a lock whose file goes with it.
 
     The file is removed before the lock is released where the system allows it, as POSIX does;
@@ -108,7 +108,7 @@ def draft(folder: Path) -> Path:
     A living writer holds the lock of its draft (`building`), which is not removed.
     """
     for lock in folder.parent.glob(f".{glob.escape(folder.name)}.{'[0-9a-f]' * 8}.lock"):
-        with contextlib.suppress(OSError), _passing(lock):
+        with contextlib.suppress(OSError), passing(lock):
             shutil.rmtree(lock.with_suffix(""), ignore_errors=True)
     return folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}"
 
@@ -121,7 +121,7 @@ def building(draft: Path) -> Iterator[None]:
         OSError: it cannot be made, or the file system cannot lock.
     """
     draft.parent.mkdir(parents=True, exist_ok=True)
-    with _passing(draft.with_name(f"{draft.name}.lock")):
+    with passing(draft.with_name(f"{draft.name}.lock")):
         draft.mkdir()
         yield
 

@@ -11,12 +11,9 @@ have checksums too (`metadata`, `checksums`).
 import contextlib
 import errno
 import json
-import re
-import shutil
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,18 +25,12 @@ from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError
 from estbench.experiment.prepared import Setup
 from estbench.scenario.load import changes
-from estbench.store import checksums, extension, locks, metadata, versions
+from estbench.store import checksums, extension, folders, locks, metadata, versions
 from estbench.store.metadata import STORE, UNREADABLE
 from estbench.store.template import declare, labels
 
 SCENARIO, COSTS = "scenario.toml", "costs"
 NO_MORE: Mapping[str, Any] = {}
-
-
-def default_folder(name: str) -> Path:
-    """`results/<scenario>-<time>`, the time in UTC to the second."""
-    safe = re.sub(r"[^\w.-]+", "_", name).strip("._")
-    return Path("results") / f"{safe}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
 
 
 class Store:
@@ -91,32 +82,16 @@ class Store:
         Raises:
             StoreError: the folder exists or cannot be written.
         """
-        if folder.exists():
-            raise StoreError(
-                f"{folder} exists; choose another --out, remove it, or go on with --resume"
-            )
-        count = setup.scenario.simulation.runs
-        batches = divided(count, batch_size)
-        made = [path for path in folder.parents if not path.exists()]
-        # Built at a hidden path and renamed: other processes see the whole folder or none.
-        draft = locks.draft(folder)
-        try:
-            with locks.building(draft):
-                texts = _texts(setup)
-                for name, text in texts.items():
-                    (draft / name).write_text(text, encoding="utf-8")
-                (draft / COSTS).mkdir()
-                root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
-                declare(root, setup, keep, batches, dtype, more)
-                metadata.seal(draft, texts, labels(setup, keep))
-                draft.rename(folder)
-        except BaseException as error:
-            _remove(draft, made)
-            if isinstance(error, FileExistsError) or folder.exists():
-                raise StoreError(f"{folder} exists; choose another --out or --resume") from None
-            if isinstance(error, OSError):
-                raise _unwritable(folder, error) from None
-            raise
+        batches = divided(setup.scenario.simulation.runs, batch_size)
+        made = folders.missing_parents(folder)
+        with folders.built(folder) as draft:
+            texts = _texts(setup)
+            for name, text in texts.items():
+                (draft / name).write_text(text, encoding="utf-8")
+            (draft / COSTS).mkdir()
+            root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
+            declare(root, setup, keep, batches, dtype, more)
+            metadata.seal(draft, texts, labels(setup, keep))
         new = cls(folder, keep, dtype, batches, _live(setup))
         new._made = made
         return new
@@ -314,7 +289,7 @@ class Store:
     def discard(self) -> None:
         """Remove the folder and the parents that were made for it, if this object made them."""
         if self._made is not None:
-            _remove(self.folder, self._made)
+            folders.remove(self.folder, self._made)
 
     def _open(self, mode: Literal["r", "r+"]) -> zarr.Group:
         return zarr.open_group(str(self.folder / STORE), mode=mode, zarr_format=3)
@@ -368,22 +343,15 @@ def _live(setup: Setup) -> bool:
     return setup.scenario.control.observe == "estimate"
 
 
-def _remove(folder: Path, parents: Sequence[Path]) -> None:
-    with contextlib.suppress(OSError):
-        shutil.rmtree(folder)
-        for parent in parents:
-            parent.rmdir()  # fails if it is not empty, and the folder stays
-
-
 def _stands(folder: Path) -> bool:
     """Whether the store exists; a write under way may have made its folders again."""
     return (folder / STORE / "zarr.json").is_file()
 
 
 def _unwritable(folder: Path, error: OSError) -> StoreError:
+    if not _stands(folder):
+        return folders.unwritable(folder, error)
     return StoreError(
         f"{folder} cannot be written: {error.strerror or error}; what is finished is kept there, "
         "free the disk and --resume, or choose another --out"
-        if _stands(folder)
-        else f"{folder} cannot be written: {error.strerror or error}; choose another --out"
     )

@@ -1,12 +1,14 @@
 """Compute a study: variants on workers, one store, interruptible and resumable."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from estbench.errors import Interrupted, StudyError
 from estbench.montecarlo import batch, executors, scaling
 from estbench.montecarlo.dispatch import Progress, check_folder, check_shard
+from estbench.store import folders
 from estbench.store.template import lengths
 from estbench.study import compute as computing
 from estbench.study.compute import Outcomes, Piece
@@ -75,7 +77,7 @@ def run(
         runs = study.scenario.simulation.runs
         batches = [range(i, min(i + size, runs)) for i in range(0, runs, size)]
     else:
-        store = _opened(Path(out), study, kept, first, size, resume or shard is not None)
+        store = _opened(Path(out), study, kept, first, size, resume, shard is not None)
         batches = store.batches
     every = [(g, b) for g in range(len(prepared)) for b in range(len(batches))]
     mine = every if shard is None else every[shard[0] - 1 :: shard[1]]
@@ -125,15 +127,18 @@ def _opened(
     sizes: dict[str, int],
     first: computing.Setup,
     batch_size: int,
-    resumed: bool,
+    resume: bool,
+    shared: bool,
 ) -> StudyStore:
     """A new store, or the one that is resumed."""
     coordinates = {"coordinate": first.space.names}
     if "channel" in sizes:
         coordinates["channel"] = tuple(first.channel_spaces)
-    if resumed and folder.exists():
-        return StudyStore.reopen(folder, study, sizes, coordinates, batch_size)
-    return StudyStore.create(folder, study, sizes, coordinates, batch_size)
+    parts = folder, study, sizes, coordinates, batch_size
+    return folders.opened(
+        folder, resume, shared, partial(StudyStore.create, *parts),
+        partial(StudyStore.reopen, *parts),
+    )  # fmt: skip
 
 
 def _locked(

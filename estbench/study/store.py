@@ -24,7 +24,7 @@ from zarr.codecs import Crc32cCodec
 from estbench.consistency.fields import Record
 from estbench.errors import StoreError, given_path
 from estbench.scenario.load import changes
-from estbench.store import checksums, extension, locks, metadata
+from estbench.store import checksums, extension, folders, locks, metadata
 from estbench.store.metadata import STORE
 from estbench.store.template import provenance
 from estbench.store.zarr import SCENARIO, divided
@@ -67,24 +67,13 @@ class StudyStore:
         Raises:
             StoreError: the folder exists or cannot be written.
         """
-        if folder.exists():
-            raise StoreError(
-                f"{folder} exists; choose another --out, remove it, or go on with --resume"
-            )
-        draft = locks.draft(folder)
-        try:
-            with locks.building(draft):
-                texts = _texts(study, sizes, batch_size)
-                for name, text in texts.items():
-                    (draft / name).write_text(text, encoding="utf-8")
-                (draft / FAILURES).mkdir()
-                _declare(draft / STORE, study, sizes, coordinates, batch_size)
-                metadata.seal(draft, texts, _labels(study, coordinates))
-                draft.rename(folder)
-        except OSError as error:
-            raise StoreError(
-                f"{folder} cannot be written: {error.strerror or error}; choose another --out"
-            ) from None
+        with folders.built(folder) as draft:
+            texts = _texts(study, sizes, batch_size)
+            for name, text in texts.items():
+                (draft / name).write_text(text, encoding="utf-8")
+            (draft / FAILURES).mkdir()
+            _declare(draft / STORE, study, sizes, coordinates, batch_size)
+            metadata.seal(draft, texts, _labels(study, coordinates))
         return cls(folder, study, sizes, batch_size)
 
     @classmethod

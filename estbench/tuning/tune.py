@@ -12,6 +12,7 @@ from estbench.experiment.setup import build
 from estbench.scenario.load import resolve
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
+from estbench.store import folders
 from estbench.study import keys
 from estbench.tuning import freedom, heldout, heldout_logs, logged, search
 from estbench.tuning.evaluation import Evaluation, Simulated
@@ -295,12 +296,8 @@ def _folder(
             raise StoreError("resume needs the folder that it fills; name it with --out")
         return None
     folder, toml = Path(out), f"# free: {', '.join(free)}\n\n{scenario.to_toml()}"
-    if folder.exists() and not resume:
-        raise StoreError(
-            f"{folder} exists; choose another --out, remove it, or go on with --resume"
-        )
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=resume)
         known = folder / START
         if known.is_file() and known.read_text(encoding="utf-8") != toml:
             raise StoreError(
@@ -308,7 +305,7 @@ def _folder(
             )
         known.write_text(toml, encoding="utf-8")
     except OSError as error:
-        raise StoreError(
-            f"{folder} cannot be written: {error.strerror}; choose another --out"
-        ) from None
+        if folder.exists() and not resume:
+            raise StoreError(folders.EXISTS.format(folder)) from None
+        raise folders.unwritable(folder, error) from None
     return folder

@@ -15,7 +15,7 @@ from estbench.experiment import setup
 from estbench.montecarlo.batch import run_batch
 from estbench.scenario.load import load, resolve
 from estbench.store.metadata import COPY, STORE
-from estbench.store.zarr import Store, default_folder
+from estbench.store.zarr import Store
 from tests.stores import unsealed
 
 KEEP = ("summary", "diagonal", "full")
@@ -270,13 +270,6 @@ def test_discard_removes_the_parents_it_made_and_no_others(tmp_path):
     (tmp_path / "new" / "other").mkdir()
     target.discard()
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["other"]
-
-
-@pytest.mark.parametrize("name", ["robot", "../../robot", "/etc/robot"])
-def test_the_default_folder_lies_in_results(name):
-    folder = default_folder(name)
-    assert folder.parent.name == "results"
-    assert "robot-20" in folder.name
 
 
 # Opening
