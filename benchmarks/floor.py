@@ -5,7 +5,7 @@ step with contacts costs several times one without) and the same disturbances by
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from unittest import mock
 
@@ -15,8 +15,8 @@ from mujoco.batch import Batch
 class Floor:
     """Seconds spent in Batch calls, and rows that went through them by (kind, argument)."""
 
-    def __init__(self) -> None:
-        self.seconds = 0.0
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.seconds, self._clock = 0.0, clock
         self.rows: dict[tuple[object, ...], int] = {}
 
     def timed(self, kind: str):
@@ -26,19 +26,19 @@ class Floor:
         def call(batch: Batch, **arguments: int) -> None:
             key = (kind, *arguments.values())
             self.rows[key] = self.rows.get(key, 0) + batch.nsim
-            began = time.perf_counter()
+            began = self._clock()
             try:
                 original(batch, **arguments)
             finally:
-                self.seconds += time.perf_counter() - began
+                self.seconds += self._clock() - began
 
         return call
 
 
 @contextmanager
-def floor() -> Iterator[Floor]:
-    """Counts while the block runs; one thread only."""
-    found = Floor()
+def floor(clock: Callable[[], float] = time.perf_counter) -> Iterator[Floor]:
+    """Counts while the block runs; one thread only. The clock may be that of the CPU."""
+    found = Floor(clock)
     with (
         mock.patch.object(Batch, "step", found.timed("step")),
         mock.patch.object(Batch, "forward", found.timed("forward")),
