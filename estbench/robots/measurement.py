@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from estbench.errors import ScenarioError, user_error_location
 from estbench.robots import layout
 from estbench.robots.backend import Backend
+from estbench.robots.components import components
 from estbench.robots.no_return import NoReturns
 from estbench.shapes import Array, Float, Int
 from estbench.spaces.manifold import Manifold, product
@@ -94,8 +95,8 @@ class Plan:
 
     Attributes:
         space: the manifold of the readings.
-        known: if every reading is a component of the state (joint encoders and tachometers), the
-            indices of these components `(ny,)` and the Jacobian H `(ny, n)`; else None.
+        known: if every reading is a component of the state (see `components`), the indices of
+            these components `(ny,)` and the Jacobian H `(m, n)`; else None.
         reach: the readings depend on the first `reach` tangent coordinates only.
         timed: whether a reading is a function of the user's, which is given the time.
         stage: the highest pipeline stage (mjtStage) that the sensors need.
@@ -109,7 +110,7 @@ class Plan:
         self._nothing = NoReturns.of(model, sensors, self._columns)
         self.stage = needed_stage(model, sensors)
         self._sources = tuple(sources) if any(s.function for s in sources) else ()
-        self.known = None if self._sources else _coordinates(model, sensors, self._columns)
+        self.known = None if self._sources else components(model, sensors, self._columns)
         nv, na = model.nv, model.na
         reach = (0, nv, 2 * nv, 2 * nv + na)  # by stage: a position does not depend on velocities
         self.reach = reach[-1] if self._sources else reach[self.stage]
@@ -155,25 +156,6 @@ class Plan:
         y = raw[..., :width]
         self._nothing.mark(y, raw[..., width:])
         return y
-
-
-def _coordinates(
-    model: mujoco.MjModel, sensors: Sequence[int], columns: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], Array] | None:
-    """See `Plan.known`."""
-    kinds = {mujoco.mjtSensor.mjSENS_JOINTPOS: 0, mujoco.mjtSensor.mjSENS_JOINTVEL: 1}
-    found = {}
-    for i in sensors:
-        kind = kinds.get(mujoco.mjtSensor(model.sensor_type[i]))
-        if kind is None or model.sensor_cutoff[i] > 0:
-            return None
-        joint = model.sensor_objid[i]
-        dof = model.jnt_dofadr[joint]
-        found[model.sensor_adr[i]] = (
-            (model.nq + dof, model.nv + dof) if kind else (model.jnt_qposadr[joint], dof)
-        )
-    pairs = np.array([found[c] for c in columns], np.intp).reshape(-1, 2)
-    return pairs[:, 0], np.eye(2 * model.nv + model.na)[pairs[:, 1]]
 
 
 def sensor_columns(model: mujoco.MjModel, sensors: Sequence[int]) -> Int[NDArray[np.intp], " m"]:
