@@ -34,6 +34,8 @@ def normalize(q: Float[Array, "... 4"]) -> Float[Array, "... 4"]:
     """Scale quaternions to unit length; a zero quaternion becomes the identity."""
     norm = _length(q)
     zero = norm == 0  # a NaN stays a NaN
+    if not zero.any():
+        return q / norm
     return np.where(zero, np.array([1.0, 0.0, 0.0, 0.0]), q / np.where(zero, 1.0, norm))
 
 
