@@ -129,7 +129,7 @@ class Plan:
         The sensors see the generalized forces `force` too; None for none.
         """
         if self.known is not None:
-            return x[..., self.known[0]]
+            return x.take(self.known[0], axis=-1)  # in the order of C, so that sums round alike
         if not self._sources:
             return self._sensed(backend, x, u, t, force)
         sensed, start = np.empty((*x.shape[:-1], 0)), 0

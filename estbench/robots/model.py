@@ -202,8 +202,7 @@ class MujocoModel:
         """h(x) and H, by differences unless every reading is a component of the state."""
         plan = self._select(channels).plan
         if plan.known is not None:
-            point, H = plan.known
-            return x[:, point], H[None].repeat(len(x), axis=0)
+            return plan.read(self._backend, x, u, t), plan.known[1][None].repeat(len(x), axis=0)
         return self.differences.jacobian(
             lambda points: self.measurement(points, u, t, channels),
             self._space, plan.space, x, plan.reach,

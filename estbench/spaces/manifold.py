@@ -132,7 +132,7 @@ class Manifold:
         for at, to in self._lines:
             np.add(x[..., at], delta[..., to], out=out[..., at])
         for at, to in self._turns:
-            turned = rotation.multiply(x[..., at], rotation.exp(delta[..., to]))
+            turned = rotation.multiply(_taken(x, at), rotation.exp(_taken(delta, to)))
             out[..., at] = rotation.normalize(turned)
         return out
 
@@ -144,7 +144,7 @@ class Manifold:
         for at, to in self._lines:
             np.subtract(x[..., at], y[..., at], out=out[..., to])
         for at, to in self._turns:
-            q, p = rotation.normalize(x[..., at]), rotation.normalize(y[..., at])
+            q, p = rotation.normalize(_taken(x, at)), rotation.normalize(_taken(y, at))
             out[..., to] = rotation.log(rotation.multiply(rotation.conjugate(p), q))
         if self.angles:
             _, to = self._circles
@@ -176,7 +176,7 @@ class Manifold:
                 mean[..., at] = rotation.mean(points[..., at], weights)
                 continue
             each = weights if weights.ndim == 1 else weights[..., None, :]
-            mean[..., at] = rotation.mean(np.moveaxis(points[..., at], -3, -2), each)
+            mean[..., at] = rotation.mean(np.moveaxis(_taken(points, at), -3, -2), each)
         return mean
 
     @cached_property
@@ -210,7 +210,7 @@ class Manifold:
         out = np.broadcast_to(np.eye(self.n), (*delta.shape[:-1], self.n, self.n)).copy()
         for _, to in self._turns:
             rows, columns = (to, to) if isinstance(to, slice) else (to[..., None], to[:, None])
-            out[..., rows, columns] = rotation.right_jacobian(delta[..., to])
+            out[..., rows, columns] = rotation.right_jacobian(_taken(delta, to))
         return out
 
     def transport(
@@ -221,9 +221,9 @@ class Manifold:
             return cov
         out = cov.copy()
         for _, turn in self._turns:  # elsewhere J is the identity
-            jacobian = rotation.right_jacobian(delta[..., turn])
-            out[..., turn, :] = jacobian @ out[..., turn, :]
-            columns = out[..., turn]
+            jacobian = rotation.right_jacobian(_taken(delta, turn))
+            out[..., turn, :] = jacobian @ _taken(out, turn, -2)
+            columns = _taken(out, turn)
             if isinstance(turn, slice):
                 out[..., turn] = columns @ jacobian.mT
             else:
@@ -243,6 +243,17 @@ class Manifold:
     def index(self, name: str) -> int:
         """Position of the tangent coordinate `name`."""
         return self.names.index(name)
+
+
+def _taken(a: Array, at: Any, axis: int = -1) -> Array:
+    """The values of the quaternions, those of a run side by side in memory, whatever the others.
+
+    With several quaternions an index would place the runs there, and products round otherwise than
+    those of one run.
+    """
+    if not isinstance(at, slice):
+        return a.take(at, axis=axis)
+    return a[..., at] if axis == -1 else a[..., at, :]
 
 
 def _together(turns: Sequence[tuple[slice, slice]]) -> list[tuple[Any, Any]]:

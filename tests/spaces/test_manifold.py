@@ -291,3 +291,27 @@ def test_several_quaternions_are_computed_as_each_alone():
         parts = [near[..., i * one.nx : (i + 1) * one.nx] for i in range(3)]
         expected = np.concatenate([one.mean(part, weights) for part in parts], axis=-1)
         np.testing.assert_allclose(several.mean(near, weights), expected, atol=1e-12)
+
+
+def test_several_quaternions_of_a_row_do_not_depend_on_the_other_rows():
+    rng = np.random.default_rng(4)
+    ball = Manifold(("rx", "ry", "rz"), ("rad",) * 3, np.array([[0, 0]]))
+    space = product([Manifold.euclidean(1), ball, ball, ball])
+    rest = np.concatenate([[0.0], np.tile([1.0, 0.0, 0.0, 0.0], 3)])
+    x = space.plus(rest, rng.standard_normal((50, space.n)))
+    delta, points = (rng.standard_normal((50, *shape, space.n)) for shape in ((), (3,)))
+    cov = points.mT @ points + np.eye(space.n)
+
+    def computed(rows):
+        near = space.plus(x[rows, None], points[rows])
+        return (
+            space.minus(space.plus(x[rows], delta[rows]), x[rows]),
+            space.minus(near, x[rows, None]),
+            space.mean(near, np.array([0.2, 0.3, 0.5])),
+            space.transport(cov[rows], delta[rows]),
+        )
+
+    together = computed(slice(None))
+    for i in range(50):
+        for alone, among in zip(computed(slice(i, i + 1)), together):
+            np.testing.assert_array_equal(alone[0], among[i])
