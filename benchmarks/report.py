@@ -17,7 +17,8 @@ import zarr
 
 import estbench
 from estbench.report.html import write_report
-from estbench.store.zarr import SCENARIO, STORE
+from estbench.store.contents import SCENARIO
+from estbench.store.metadata import STORE
 
 RUNS, SECONDS = 2000, 2.0
 

@@ -19,9 +19,9 @@ from estbench.errors import StoreError
 from estbench.scenario import load as scenarios
 from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
+from estbench.store.contents import COSTS, SCENARIO, read_costs
 from estbench.store.metadata import INTEGRITY, STORE
 from estbench.store.reader import open_results
-from estbench.store.zarr import COSTS, SCENARIO, read_costs
 from estbench.study.store import STUDY
 
 REQUIRED = {"anees", "anis", "mse", "variance", "fault", "fault_step", "diverged"}

@@ -17,7 +17,8 @@ from estbench.montecarlo.dispatch import Progress, Say
 from estbench.montecarlo.pool import Pool
 from estbench.montecarlo.results import Results
 from estbench.store import folders
-from estbench.store.zarr import Store, divided
+from estbench.store.contents import divided
+from estbench.store.zarr import Store
 
 Done = dict[int, dict[str, Record]]
 """Number of a finished batch -> label -> its summary record."""

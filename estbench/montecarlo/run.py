@@ -14,7 +14,7 @@ from estbench.montecarlo.dispatch import Progress, Say
 from estbench.montecarlo.pool import keeping
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
-from estbench.store.zarr import Store
+from estbench.store import resuming
 
 
 def run(
@@ -111,7 +111,7 @@ def _until(rule: stopping.Rule, prepared: Setup, plan: Plan) -> Results:
     done: Done = {}
     most, size, begun = prepared.scenario.simulation.runs, plan.size, 0
     if plan.resume and plan.out is not None and plan.out.exists():
-        begun, size = Store.extent(plan.out)
+        begun, size = resuming.extent(plan.out)
         most = max(most, begun)
 
     with keeping(plan.using) as using:

@@ -20,6 +20,11 @@ from estbench.store.metadata import Labels, write_labels
 DONE = Field(("run",), "?", "the run is complete; ignore the others")
 
 
+def live(setup: Setup) -> bool:
+    """Whether the controller sees the estimate, so that each estimator has a truth of its own."""
+    return setup.scenario.control.observe == "estimate"
+
+
 def labels(setup: Setup, keep: str) -> Labels:
     """The names of rows and columns of a store.
 
@@ -89,13 +94,12 @@ def declare(
                 attributes={"meaning": field.meaning},
             )
 
-    live = setup.scenario.control.observe == "estimate"
     group("", {"done": DONE})
-    traces = {k: v for k, v in fields(keep, live).items() if k not in SUMMARY}
+    traces = {k: v for k, v in fields(keep, live(setup)).items() if k not in SUMMARY}
     for label in setup.scenario.estimators:
         group(label, SUMMARY)
         group(label, traces, dtype)
-    if keep != "summary" and not live:
+    if keep != "summary" and not live(setup):
         group("truth", TRUTH, dtype)
 
 

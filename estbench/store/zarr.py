@@ -10,8 +10,6 @@ have checksums too (`metadata`, `checksums`).
 
 import contextlib
 import errno
-import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,12 +22,11 @@ from estbench.consistency.fields import Field, Record
 from estbench.consistency.records import COST, SUMMARY, TRUTH, fields
 from estbench.errors import StoreError
 from estbench.experiment.prepared import Setup
-from estbench.scenario.load import changes
-from estbench.store import checksums, extension, folders, locks, metadata, versions
+from estbench.store import checksums, folders, locks, metadata, resuming, versions
+from estbench.store.contents import COSTS, beside, divided, read_costs, stands, unwritable
 from estbench.store.metadata import STORE, UNREADABLE
-from estbench.store.template import declare, labels
+from estbench.store.template import declare, labels, live
 
-SCENARIO, COSTS = "scenario.toml", "costs"
 NO_MORE: Mapping[str, Any] = {}
 
 
@@ -85,14 +82,14 @@ class Store:
         batches = divided(setup.scenario.simulation.runs, batch_size)
         made = folders.missing_parents(folder)
         with folders.built(folder) as draft:
-            texts = _texts(setup)
+            texts = beside(setup)
             for name, text in texts.items():
                 (draft / name).write_text(text, encoding="utf-8")
             (draft / COSTS).mkdir()
             root = zarr.open_group(str(draft / STORE), mode="w-", zarr_format=3)
             declare(root, setup, keep, batches, dtype, more)
             metadata.seal(draft, texts, labels(setup, keep))
-        new = cls(folder, keep, dtype, batches, _live(setup))
+        new = cls(folder, keep, dtype, batches, live(setup))
         new._made = made
         return new
 
@@ -114,76 +111,15 @@ class Store:
             StoreError: it is no store, or of another scenario or level, of which the key that
                 differs is named; or a file is damaged that nothing can restore.
         """
-        if not (folder / STORE).is_dir():
-            raise StoreError(f"{folder} holds no {STORE}; there is nothing to resume")
-        texts = _texts(setup)
+        found = resuming.checked(folder, setup, keep, dtype)
         try:
-            restored = metadata.restore(folder, texts)
+            resuming.extended(folder, setup, found)
+            store = cls(folder, found.keep, found.dtype, found.batches, live(setup))
+            again = metadata.restore_labels(folder, store._root, found.labels)
         except OSError as error:
-            raise _unwritable(folder, error) from None
-        try:
-            before = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise StoreError(
-                f"{folder / SCENARIO} cannot be read: {error}; choose another --out"
-            ) from None
-        differences = changes(before, tomllib.loads(texts[SCENARIO]))
-        longer = extension.is_longer(differences)
-        for key, was, asked in () if longer else differences:
-            raise StoreError(
-                f"{folder} is of another scenario: {key} was {was!r} and is {asked!r}; "
-                "choose another --out"
-            )
-        try:
-            root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
-            attrs = root.attrs.asdict()
-            size, kept = int(attrs["batch_size"]), (str(attrs["keep"]), str(attrs["dtype"]))  # type: ignore[arg-type]
-        except (OSError, KeyError, ValueError, json.JSONDecodeError) as error:
-            raise StoreError(f"{folder / STORE} cannot be read: {error}") from None
-        for name, was, asked in zip(("keep", "dtype"), kept, (keep, dtype)):
-            if asked not in (None, was):
-                raise StoreError(
-                    f"{folder} is of another experiment: {name} was {was!r} and is {asked!r}; "
-                    "choose another --out"
-                )
-        wanted = fields(kept[0], _live(setup))
-        for label in setup.scenario.estimators:
-            if lacking := [name for name in wanted if f"{label}/{name}" not in root]:
-                raise StoreError(
-                    f"{folder} was begun with an earlier version of estbench and has no "
-                    f"{label}/{lacking[0]}: it can be read but not continued; choose another --out"
-                )
-        names, batches = labels(setup, kept[0]), divided(setup.scenario.simulation.runs, size)
-        if metadata.opened(root, "time").shape != names["time"][1].shape:
-            raise StoreError(
-                f"{folder} was begun with another version of estbench, which keeps sums of other "
-                "instants: it can be read but not continued; choose another --out"
-            )
-        try:
-            if longer:
-                lengths = {"run": setup.scenario.simulation.runs, "batch": len(batches)}
-                extension.extend(folder, texts, names, lengths)
-            store = cls(folder, *kept, batches, _live(setup))
-            again = metadata.restore_labels(folder, store._root, names)
-        except OSError as error:
-            raise _unwritable(folder, error) from None
-        store.restored = restored + [name for name in again if not longer]
+            raise unwritable(folder, error) from None
+        store.restored = found.restored + [name for name in again if not found.longer]
         return store
-
-    @staticmethod
-    def extent(folder: Path) -> tuple[int, int]:
-        """How many runs a store has, finished or not, and how many a batch.
-
-        Raises:
-            StoreError: it is no store, or its metadata is damaged.
-        """
-        try:
-            root = zarr.open_group(str(folder / STORE), mode="r", zarr_format=3)
-            return int(root["done"].shape[0]), int(root.attrs["batch_size"])  # type: ignore[arg-type]
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise StoreError(
-                f"{folder} cannot be continued: {error}; choose another --out"
-            ) from None
 
     def write(self, batch: int, truth: Record, records: dict[str, Record]) -> None:
         """Write one batch, and mark its runs as done last.
@@ -193,7 +129,7 @@ class Store:
         """
         runs = slice(self.batches[batch].start, self.batches[batch].stop)
         try:
-            if not _stands(self.folder):
+            if not stands(self.folder):
                 raise FileNotFoundError(errno.ENOENT, "the store was deleted")
             cost = {label: float(r["cpu_time"].sum()) for label, r in records.items()}
             checksums.write(self.folder / COSTS / f"{batch}.json", cost)
@@ -206,7 +142,7 @@ class Store:
                         array[self._where(group, name, batch)] = kept
             self._array("done")[runs] = True
         except OSError as error:
-            raise _unwritable(self.folder, error) from None
+            raise unwritable(self.folder, error) from None
 
     def finished(self, batch: int) -> bool:
         """Whether all runs of the batch are marked as done; False where the mark is corrupted."""
@@ -263,7 +199,7 @@ class Store:
                     f"another process is writing to {self.folder}; wait for it, or use --shard"
                 ) from None
             except OSError as error:
-                raise _unwritable(self.folder, error) from None
+                raise unwritable(self.folder, error) from None
             yield
 
     def sign(self, writing: bool) -> str | None:
@@ -283,7 +219,7 @@ class Store:
                     found.append(now)
                     metadata.change(self.folder, continued=found[1:])
         except OSError as error:
-            raise _unwritable(self.folder, error) from None
+            raise unwritable(self.folder, error) from None
         return versions.mixed(found)
 
     def discard(self) -> None:
@@ -313,45 +249,3 @@ class Store:
         dims = self._fields(group)[name].dims
         runs = self.batches[batch]
         return slice(batch, batch + 1) if dims[0] == "batch" else slice(runs.start, runs.stop)
-
-
-def divided(runs: int, size: int) -> list[range]:
-    """The runs in batches of one size; the last one may be smaller."""
-    return [range(i, min(i + size, runs)) for i in range(0, runs, size)]
-
-
-def read_costs(folder: Path, batch: int) -> dict[str, float]:
-    """The core time of each estimator for the runs of a batch, s.
-
-    Raises:
-        OSError: there is no such file.
-        ValueError, KeyError: it is damaged.
-    """
-    stored = checksums.read(folder / COSTS / f"{batch}.json")
-    if not isinstance(stored, dict):
-        raise ValueError("it is no table")
-    return {str(label): float(cost) for label, cost in stored.items()}
-
-
-def _texts(setup: Setup) -> dict[str, str]:
-    """The texts beside the store."""
-    return {SCENARIO: setup.scenario.to_toml()}
-
-
-def _live(setup: Setup) -> bool:
-    """Whether the controller sees the estimate, so that each estimator has a truth of its own."""
-    return setup.scenario.control.observe == "estimate"
-
-
-def _stands(folder: Path) -> bool:
-    """Whether the store exists; a write under way may have made its folders again."""
-    return (folder / STORE / "zarr.json").is_file()
-
-
-def _unwritable(folder: Path, error: OSError) -> StoreError:
-    if not _stands(folder):
-        return folders.unwritable(folder, error)
-    return StoreError(
-        f"{folder} cannot be written: {error.strerror or error}; what is finished is kept there, "
-        "free the disk and --resume, or choose another --out"
-    )

@@ -25,9 +25,9 @@ from estbench.consistency.fields import Record
 from estbench.errors import StoreError, given_path
 from estbench.scenario.load import changes
 from estbench.store import checksums, extension, folders, locks, metadata
+from estbench.store.contents import SCENARIO, divided
 from estbench.store.metadata import STORE
 from estbench.store.template import provenance
-from estbench.store.zarr import SCENARIO, divided
 from estbench.study.compute import Outcomes, Piece
 from estbench.study.design import Study
 from estbench.study.evaluation import KEPT, failed

@@ -21,8 +21,9 @@ from estbench.errors import ExecutorError, StoreError
 from estbench.estimators.ekf import EKF
 from estbench.montecarlo import dask, dispatch, executors
 from estbench.montecarlo.pool import execute
+from estbench.store.contents import SCENARIO
 from estbench.store.metadata import STORE
-from estbench.store.zarr import SCENARIO, Store
+from estbench.store.zarr import Store
 from tests.stores import run, same
 
 
