@@ -9,7 +9,7 @@ import mujoco
 from pydantic import ValidationError
 
 from estbench.errors import ScenarioError, did_you_mean
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 from estbench.sensors.declared import expanded, lacks_sensors, names_expanded, usual
 from estbench.sensors.kit import attitude_fix, default, encoders, imu, position_fix
 

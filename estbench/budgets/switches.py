@@ -12,7 +12,7 @@ from estbench.experiment.believed import Believed
 from estbench.experiment.prepared import Setup
 from estbench.robots import parameters
 from estbench.robots.disturbance import Disturbance, axis_names
-from estbench.scenario.schema import FilterSection
+from estbench.scenario.filter import FilterSection
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
 from estbench.shapes import Array

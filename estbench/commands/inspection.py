@@ -12,8 +12,9 @@ from estbench.errors import EstbenchError, ScenarioError
 from estbench.experiment import setup, unseen
 from estbench.robots import mjcf
 from estbench.scenario import code
+from estbench.scenario.filter import FilterSection
 from estbench.scenario.reference import seen
-from estbench.scenario.schema import FilterSection, Scenario, TruthSection
+from estbench.scenario.schema import Scenario, TruthSection
 from estbench.sensors.description import ChannelDescription
 from estbench.tables import units
 from estbench.tables.names import visible

@@ -12,12 +12,8 @@ from estbench.robots import flags, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance, axis_names
 from estbench.robots.measurement import Measurand
 from estbench.robots.model import Scale, SensorChannel, whole_steps
-from estbench.scenario.schema import (
-    BelievedChannelSection,
-    BelievedNoiseSection,
-    FilterSection,
-    Scenario,
-)
+from estbench.scenario.filter import BelievedChannelSection, BelievedNoiseSection, FilterSection
+from estbench.scenario.schema import Scenario
 from estbench.sensors import channel as sensors
 from estbench.sensors import schedules
 from estbench.sensors.channel import Channel

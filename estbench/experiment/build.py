@@ -13,12 +13,8 @@ from estbench.robots import added_sensors as adding
 from estbench.robots import contacts, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.held import REST, held, note
-from estbench.scenario.schema import (
-    AddSensor,
-    ContactSection,
-    ProcessNoiseSection,
-    Scenario,
-)
+from estbench.scenario.channels import AddSensor
+from estbench.scenario.schema import ContactSection, ProcessNoiseSection, Scenario
 from estbench.sensors import schedules
 from estbench.sensors.channel import Channel
 from estbench.sensors.declared import expanded, is_open, lacks_sensors, names_expanded, usual

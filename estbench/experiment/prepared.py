@@ -23,11 +23,8 @@ from estbench.robots.model import MujocoModel
 from estbench.scenario import load as scenarios
 from estbench.scenario import reference
 from estbench.scenario.believed import LOOP
-from estbench.scenario.schema import (
-    FilterSection,
-    Scenario,
-    StartSection,
-)
+from estbench.scenario.filter import FilterSection
+from estbench.scenario.schema import Scenario, StartSection
 from estbench.sensors.channel import Channel
 from estbench.sensors.description import sight
 from estbench.sensors.instants import Instant, Instants

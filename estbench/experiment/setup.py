@@ -27,13 +27,8 @@ from estbench.inference.priors import checked_prior
 from estbench.robots import flags, layout, mjcf, parameters
 from estbench.scenario import believed as own
 from estbench.scenario import reference
-from estbench.scenario.schema import (
-    BelievedChannelSection,
-    ControlSection,
-    FilterSection,
-    Scenario,
-    StartSection,
-)
+from estbench.scenario.filter import BelievedChannelSection, FilterSection
+from estbench.scenario.schema import ControlSection, Scenario, StartSection
 from estbench.sensors import channel as sensors
 from estbench.sensors import kit, timing
 from estbench.simulation import controllers

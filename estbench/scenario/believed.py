@@ -5,8 +5,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from estbench.errors import EstimatorError, ScenarioError
+from estbench.scenario.filter import FilterSection
 from estbench.scenario.mistakes import explain
-from estbench.scenario.schema import FilterSection, Scenario
+from estbench.scenario.schema import Scenario
 
 LOOP = ("delays", "filter", "start")
 """Keys of an estimator's table that are not settings of its class."""

@@ -11,7 +11,7 @@ import numpy as np
 from estbench.experiment.prepared import Setup
 from estbench.robots.disturbance import axis_names
 from estbench.scenario.believed import LOOP
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 from estbench.sensitivities import physical
 from estbench.sensitivities.parameter import Parameter
 from estbench.sensors import schedules

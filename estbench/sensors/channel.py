@@ -13,7 +13,8 @@ from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand
 from estbench.robots.no_return import never_returns
-from estbench.scenario.schema import BelievedChannelSection, ChannelSection
+from estbench.scenario.channels import ChannelSection
+from estbench.scenario.filter import BelievedChannelSection
 from estbench.sensors import datasheet, measurands, schedules
 from estbench.sensors.imperfections import Imperfections
 from estbench.sensors.timing import MjcfTiming, Timing

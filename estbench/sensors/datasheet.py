@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 from estbench.sensors.imperfections import Imperfections
 from estbench.shapes import Array, Float
 from estbench.spaces.linalg import is_positive_definite, is_positive_semidefinite

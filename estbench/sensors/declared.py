@@ -12,7 +12,7 @@ import mujoco
 from estbench.errors import ScenarioError, did_you_mean
 from estbench.robots.added_sensors import object_kind, object_names
 from estbench.robots.layout import BALL, FREE
-from estbench.scenario.schema import AddSensor, ChannelSection
+from estbench.scenario.channels import AddSensor, ChannelSection
 from estbench.sensors import kit
 
 Sections = dict[str, ChannelSection]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estbench.scenario.schema import BelievedChannelSection, FilterSection
+from estbench.scenario.filter import BelievedChannelSection, FilterSection
 from estbench.sensors.channel import Channel
 from estbench.sensors.imperfections import Imperfections
 from estbench.sensors.timing import Timing

@@ -11,7 +11,7 @@ from estbench.errors import DimensionError, ScenarioError, user_error_location
 from estbench.models.probe import probe_function, spread
 from estbench.robots import layout
 from estbench.robots.measurement import Measurand, StateFunction
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 from estbench.spaces.manifold import Manifold
 
 

@@ -10,13 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estbench.errors import StudyError
-from estbench.scenario.schema import (
-    ConsistencySection,
-    FilterSection,
-    Scenario,
-    StartSection,
-    TaskSection,
-)
+from estbench.scenario.filter import FilterSection
+from estbench.scenario.schema import ConsistencySection, Scenario, StartSection, TaskSection
 from estbench.study import keys
 from estbench.study.axes import Axis
 

@@ -19,7 +19,7 @@ from estbench.commands.cli import app
 from estbench.consistency.summary import summarize
 from estbench.consistency.verdict import Verdict, judge
 from estbench.errors import AnalysisError
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 
 RUNS = 24
 

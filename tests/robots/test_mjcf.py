@@ -6,8 +6,8 @@ from estbench.errors import ScenarioError
 from estbench.experiment import setup
 from estbench.robots import added_sensors, compiling, layout, mjcf, parameters, sensor_types
 from estbench.scenario import load as scenarios
+from estbench.scenario.channels import AddSensor
 from estbench.scenario.files import bundled
-from estbench.scenario.schema import AddSensor
 from tests.helpers import ZOO, zoo_model
 
 CARTPOLE = "estbench:assets/cartpole/cartpole.xml"

@@ -6,7 +6,7 @@ import pytest
 from estbench.errors import EstbenchError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 from estbench.sensors import allan
 from estbench.sensors import channel as sensors
 from tests.helpers import zoo_model

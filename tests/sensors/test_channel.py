@@ -4,7 +4,8 @@ import pytest
 from scipy import stats
 
 from estbench.errors import CovarianceError, DimensionError, ScenarioError
-from estbench.scenario.schema import BelievedChannelSection, ChannelSection
+from estbench.scenario.channels import ChannelSection
+from estbench.scenario.filter import BelievedChannelSection
 from estbench.sensors import channel as sensors
 from estbench.sensors.timing import MjcfTiming, Timing, instants
 from tests.helpers import at_zero, zoo_model

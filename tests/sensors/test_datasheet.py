@@ -4,7 +4,7 @@ import pytest
 from estbench.errors import CovarianceError, DimensionError, EstbenchError, ScenarioError
 from estbench.experiment import setup
 from estbench.montecarlo.run import resolve
-from estbench.scenario.schema import ChannelSection
+from estbench.scenario.channels import ChannelSection
 from estbench.sensors import channel as sensors
 from estbench.sensors import datasheet
 from tests.helpers import zoo_model

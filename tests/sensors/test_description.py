@@ -3,7 +3,7 @@ import pytest
 
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.scenario.schema import FilterSection
+from estbench.scenario.filter import FilterSection
 from estbench.sensors.description import HEADINGS, ChannelDescription, describe, numbers
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from estbench.experiment import setup
 from estbench.robots.no_return import may_miss
+from estbench.scenario.channels import ChannelSection
 from estbench.scenario.load import load
-from estbench.scenario.schema import ChannelSection
 from estbench.sensors import channel as sensors
 from estbench.sensors.sampling import Sampler, divided
 from estbench.sensors.timing import instants

@@ -11,7 +11,8 @@ from estbench.errors import EstbenchError
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.report.rendering.replay import Replay, simulated
-from estbench.scenario.schema import ChannelSection, Scenario
+from estbench.scenario.channels import ChannelSection
+from estbench.scenario.schema import Scenario
 
 KEYS = {
     "space": "pause or go on",
