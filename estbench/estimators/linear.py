@@ -52,7 +52,7 @@ def linear_update(
         form: form of the covariance, see `posterior_cov`.
     """
 
-    def numpy(rows: Any, mask: Bool[Mask, "run m"] | None) -> Update:
+    def numpy(rows: Any, mask: Mask | None) -> Update:  # a shape here would cost 15 µs a call
         P, jacobian, noise = belief.cov[rows], H[rows], R if R.ndim == 2 else R[rows]
         PHt = P @ jacobian.mT
         c = correct(residual[rows], symmetrize(jacobian @ PHt + noise), PHt, mask)

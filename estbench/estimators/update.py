@@ -113,7 +113,7 @@ def looped(
     loop: fused.Updated | None,
     residual: Float[Array, "run m"],
     mask: Bool[Mask, "run m"] | None,
-    numpy: Callable[[Any, Bool[Mask, "run m"] | None], Update],
+    numpy: Callable[[Any, Mask | None], Update],
 ) -> Update:
     """The update of a compiled loop, and numpy's in the runs which the loop could not judge.
 
