@@ -29,6 +29,9 @@ FAULTS: dict[str, tuple[str, str, list[str]]] = {
         ],
     ),
     "contact": ("contact", str(Path(__file__).with_name("drop.toml")), ["bound=false"]),
+    "Q x 0.02, chaotic": (
+        "Q too small", "acrobot", ["filter.process_noise_scale=0.02", "bound=false"]
+    ),
 }  # fmt: skip
 """Fault -> the rule that should name it, the scenario, and what is wrong in it."""
 

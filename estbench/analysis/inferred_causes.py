@@ -57,9 +57,11 @@ def offset(e: Evidence) -> Finding | None:
 def outliers(e: Evidence) -> Finding | None:
     """NIS is beyond its 99.9% quantile far too often, while its median is nearly right.
 
-    A median at the 80% quantile of chi-square is what R x 0.5 gives, with a tail of 20 times.
+    A median at the 80% quantile of chi-square is what R x 0.5 gives, with a tail of 20 times. A
+    filter that follows a wrong reading has the opposite innovation next; with positively correlated
+    ones the large come one after the other, as those of a Q that is too small for some states only.
     """
-    if e.rare is None or e.rare[0] < 20 or e.rare[1] > 0.8:
+    if e.rare is None or e.rare[0] < 20 or e.rare[1] > 0.8 or sign(e.lag_one) > 0:
         return None
     return Finding(
         "outliers",

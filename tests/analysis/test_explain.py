@@ -13,7 +13,7 @@ from estbench.analysis.direct_causes import contact, latency, some_time, start
 from estbench.analysis.evidence import gather
 from estbench.analysis.explain import explain, failed, lost, too_late, undecided, unexplained
 from estbench.analysis.explanations import explanations, of
-from estbench.analysis.inferred_causes import noise, unseen
+from estbench.analysis.inferred_causes import noise, outliers, unseen
 from estbench.analysis.load import load
 from estbench.commands.cli import app
 from estbench.consistency.summary import summarize
@@ -161,6 +161,14 @@ def test_size_and_correlation_of_the_innovations_tell_q_from_r(matched, size, la
         )
     )
     assert (found and found.rule) == name
+
+
+def test_large_innovations_in_a_row_are_no_outliers(matched):
+    evidence, _ = matched
+    spread = 1e-3 * np.linspace(-1, 1, RUNS)
+    for lag, name in ((-0.02, "outliers"), (0.0, "outliers"), (0.2, None)):
+        found = outliers(replace(changed(evidence, lag_one=lag + spread), rare=(30.0, 0.7)))
+        assert (found and found.rule) == name
 
 
 def test_what_no_rule_explains_is_said_to_be_uncertain(matched):
