@@ -10,7 +10,7 @@ UNITS = {
     "jointlimitfrc": "", "jointlimitpos": "", "jointlimitvel": "", "jointpos": "", "jointvel": "",
     "magnetometer": "T", "plugin": "", "rangefinder": "m", "subtreeangmom": "kg m²/s",
     "subtreecom": "m", "subtreelinvel": "m/s", "tactile": "", "tendonactfrc": "N",
-    "tendonlimitfrc": "", "tendonlimitpos": "", "tendonlimitvel": "", "tendonpos": "m",
+    "tendonlimitfrc": "N", "tendonlimitpos": "m", "tendonlimitvel": "m/s", "tendonpos": "m",
     "tendonvel": "m/s", "torque": "N m", "touch": "N", "user": "", "velocimeter": "m/s",
 }  # fmt: skip
 """Unit by type; empty for the dimensionless ones, those of `JOINT_UNITS` and those of the user."""
