@@ -9,7 +9,7 @@ from estbench.estimators.linear import linear_update
 from estbench.estimators.points import points_update
 from estbench.estimators.protocol import Gain
 from estbench.models.function import FunctionModel
-from estbench.spaces import fused
+from estbench.spaces import fused, loops
 from estbench.spaces.manifold import Manifold
 
 RUNS = 20
@@ -34,8 +34,8 @@ def prior(n, cov):
 def looped(monkeypatch):
     """The loop, by the interpreter where numba is not installed."""
     if not fused.compiled():
-        written = [getattr(fused, f"_{name}") for name in fused.Loops._fields]
-        monkeypatch.setattr(fused, "compiled", lambda: fused.Loops(*written))
+        written = [getattr(loops, f"_{name}") for name in loops.Loops._fields]
+        monkeypatch.setattr(fused, "compiled", lambda: loops.Loops(*written))
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (2, 1), (1, 2), (4, 4), (6, 3)])
