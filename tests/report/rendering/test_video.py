@@ -9,6 +9,7 @@ from PIL import Image
 
 from estbench.errors import EstbenchError, StoreError
 from estbench.report.rendering import replay, video
+from estbench.report.rendering.chart import Chart
 from tests.report.conftest import needs_gl
 
 
@@ -55,7 +56,7 @@ def test_frames_are_in_step():
 
 
 def test_the_charts_cursor_is_at_the_frames_time(run):
-    chart = video.Chart(run, 320, 60)
+    chart = Chart(run, 320, 60)
     for step in (0, 40, 100):
         picture = chart.draw(step).astype(int)
         middle = picture[(chart.top + chart.bottom) // 2]
@@ -66,12 +67,12 @@ def test_the_charts_cursor_is_at_the_frames_time(run):
 @pytest.mark.parametrize("width", [64, 320, 640])
 def test_the_charts_title_leaves_room_for_the_time(run, width):
     for label in ("ekf", "an_estimator_with_a_long_name"):
-        chart = video.Chart(replace(run, label=label), width, 60)
+        chart = Chart(replace(run, label=label), width, 60)
         title, moment = (
             chart._font.getlength(t) for t in (chart._title(), "t = 10.00 s   NEES/n = 0.123")
         )
         assert title == 0 or title + moment < 2 * (chart.right - chart.left)
-    assert video.Chart(run, 640, 60)._title() == "pendulum: ekf, run 1 (grey: 95%)"
+    assert Chart(run, 640, 60)._title() == "pendulum: ekf, run 1 (grey: 95%)"
 
 
 @needs_gl
@@ -128,8 +129,8 @@ def test_the_chart_marks_stance_and_the_events_of_contact(run):
     touching = (run.times > 0.3 * run.times[-1]) & (run.times < 0.6 * run.times[-1])
     at = run.times[touching][[0, -1]]
     events = {"touch-down": at[:1], "lift-off": at[1:]}
-    plain = video.Chart(run, 320, 80)
-    marked = video.Chart(replace(run, touching=touching, events=events), 320, 80)
+    plain = Chart(run, 320, 80)
+    marked = Chart(replace(run, touching=touching, events=events), 320, 80)
     changed = (plain.draw(0).astype(int) != marked.draw(0)).any(axis=-1)
     bar = changed[plain.bottom - 2].nonzero()[0]
     assert (bar[0], bar[-1]) == pytest.approx(plain.x(at), abs=3)
