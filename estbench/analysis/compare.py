@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from estbench.analysis.comparison import Pair, Paired, Rank, compare, paired
 from estbench.analysis.findings import Findings, find
-from estbench.analysis.load import Stored, load_all
+from estbench.analysis.load import load_all
+from estbench.analysis.stored import Stored
 from estbench.consistency.intervals import Interval, mean_interval
 from estbench.consistency.scores import inexact, score
 from estbench.errors import AnalysisError, StoreError

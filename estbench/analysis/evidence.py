@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from estbench.analysis.load import Stored
+from estbench.analysis.stored import Stored
 from estbench.consistency.blocks import Block, blocks
 from estbench.consistency.fields import Record
 from estbench.consistency.hypotheses import Hypothesis, Kind

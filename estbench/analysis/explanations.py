@@ -11,7 +11,8 @@ from rich.text import Text
 from estbench.analysis.evidence import gather
 from estbench.analysis.explain import explain
 from estbench.analysis.finding import Finding
-from estbench.analysis.load import Stored, load
+from estbench.analysis.load import load
+from estbench.analysis.stored import Stored
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estbench.analysis.load import Stored
+from estbench.analysis.stored import Stored
 from estbench.consistency import coverage, credibility, intervals, phases, whiteness
 from estbench.consistency.fields import Record
 from estbench.consistency.intervals import Interval, positive_mean_interval

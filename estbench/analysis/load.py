@@ -1,23 +1,20 @@
 """The finished runs of a results folder as records; the store may be unfinished."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from estbench.analysis.stored import Stored, array, read
 from estbench.consistency import parts
 from estbench.consistency.fields import Record
 from estbench.consistency.parts import summarize_log
 from estbench.consistency.records import INNOVATIONS, PARTS, SUMMARY
-from estbench.consistency.statistics import Summary
 from estbench.consistency.summary import summarize
 from estbench.errors import StoreError
 from estbench.scenario import load as scenarios
-from estbench.scenario.schema import Scenario
 from estbench.shapes import Array
 from estbench.store.contents import COSTS, SCENARIO, read_costs
 from estbench.store.metadata import INTEGRITY, STORE
@@ -26,122 +23,6 @@ from estbench.study.store import STUDY
 
 REQUIRED = {"anees", "anis", "mse", "variance", "fault", "fault_step", "diverged"}
 """Variables that every store has; those of older versions may lack the others."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stored:
-    """The finished runs of a store.
-
-    Attributes:
-        folder: of the results.
-        title: its name beside other stores; the folder's name unless given.
-        scenario: as it was run.
-        attrs: provenance: seed and versions.
-        names, units: of the tangent coordinates `(n,)`.
-        channels: their names; empty for a store of an earlier version.
-        times: instants `(K + 1,)`, s.
-        runs: numbers of the finished runs.
-        total: count of runs requested.
-        records: label -> per-run and per-step arrays, as `records.merge` gives them.
-        samples: label -> the record whose rows vary independently: that of the runs; of a log,
-            which is one run, that of its parts (`consistency.parts`).
-        summaries: label -> summary.
-        tree: the store, lazily read.
-        batches: positions of the runs of each finished batch.
-        log: of a replay what it is from: files, channels that are held out, whether the truth is
-            known; None of simulated runs.
-    """
-
-    folder: Path
-    title: str
-    scenario: Scenario
-    attrs: dict[str, Any]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    channels: tuple[str, ...]
-    times: Array
-    runs: NDArray[np.int64]
-    total: int
-    records: dict[str, Record]
-    samples: dict[str, Record]
-    summaries: dict[str, Summary]
-    tree: xr.DataTree
-    batches: tuple[slice, ...]
-    log: dict[str, Any] | None = None
-
-    @property
-    def has_truth(self) -> bool:
-        """Whether the true states are known, at least in part."""
-        return self.log is None or bool(self.log["truth"])
-
-    @property
-    def origin(self) -> str:
-        """Of a replay: the log, and what was not given to the estimators; else empty."""
-        if self.log is None:
-            return ""
-        held = f", {', '.join(self.log['held_out'])} held out" if self.log["held_out"] else ""
-        count = len(next(iter(self.samples.values()))["anis"])
-        truth = "" if self.has_truth else ", no truth"
-        return f"log {', '.join(self.log['files'])}, one run in {count} parts{held}{truth}"
-
-    @property
-    def instants(self) -> int:
-        """Instants of a run, of which a long one has times for a sample only."""
-        return int(self.attrs.get("instants", len(self.times) - 1))
-
-    @property
-    def n(self) -> int:
-        """Dimension of the tangent space."""
-        return len(self.names)
-
-    @property
-    def level(self) -> float:
-        """Confidence level of bands and intervals."""
-        return self.scenario.consistency.level
-
-    @property
-    def has_traces(self) -> bool:
-        """Whether errors and estimates of each run are stored."""
-        return all("error" in self.tree[label] for label in self.records)
-
-    def group(self, label: str) -> xr.Dataset:
-        """The arrays of an estimator, lazily read."""
-        node = self.tree[label]
-        assert isinstance(node, xr.DataTree)
-        return node.to_dataset()
-
-    def rank(self, group: xr.Dataset) -> NDArray[np.int64]:
-        """Degrees of freedom of NEES at each step of `group`; n in a store of an older version."""
-        if "nees_dof" in group:
-            return group["nees_dof"].values
-        return np.full(group["nees"].shape, self.n)
-
-    @property
-    def settled(self) -> NDArray[np.bool_]:
-        """Instants that count in averages `(K + 1,)`."""
-        return (self.times > self.scenario.consistency.burn_in) & (self.times > 0)
-
-    def traces(self, label: str) -> Iterator[tuple[Array, Array]] | None:
-        """Errors `(run, step, n)` and NEES `(run, step)` batch by batch, or None if not stored.
-
-        None of a log too, which is one run.
-
-        Over the settled instants of the runs that did not diverge. The error of a coordinate that
-        is known exactly is 0.
-        """
-        if "error" not in self.tree[label] or self.log is not None:
-            return None
-        return self._traces(label)
-
-    def _traces(self, label: str) -> Iterator[tuple[Array, Array]]:
-        lost = _read(self.folder, self.tree, f"{label}/diverged").astype(bool)
-        for where in self.batches:
-            values = (
-                _read(self.folder, self.tree, f"{label}/{name}", where)[~lost[where]]
-                for name in ("error", "nees", "std")
-            )
-            error, nees, std = (np.asarray(v[:, self.settled], np.float64) for v in values)
-            yield np.where(std == 0, 0.0, error), nees
 
 
 def load(folder: str | Path, title: str | None = None) -> Stored:
@@ -160,12 +41,12 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
     if not (folder / SCENARIO).is_file():
         raise StoreError(f"{folder} holds no {SCENARIO}; name a folder that `estbench run` wrote")
     try:
-        done = _read(folder, tree, "done").astype(bool)
+        done = read(folder, tree, "done").astype(bool)
         labels = [str(label) for label in tree.attrs["estimators"]]
         size = int(array(tree, f"{labels[0]}/anees").encoding["chunks"][0])
-        names, units = (_read(folder, tree, name) for name in ("coordinate", "unit"))
+        names, units = (read(folder, tree, name) for name in ("coordinate", "unit"))
         _check_present(folder, tree, [s.start // size for s in _whole(done, size)])
-        numbers, times = _read(folder, tree, "run"), _read(folder, tree, "time")
+        numbers, times = read(folder, tree, "run"), read(folder, tree, "time")
         records = {label: _record(folder, tree, label, done, size) for label in labels}
     except (KeyError, IndexError) as error:
         raise StoreError(f"{folder / STORE} is not a store of estbench: no {error}") from None
@@ -173,7 +54,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
         raise StoreError(f"{folder} has no finished run yet; go on with it by --resume")
     scenario = scenarios.load(folder)
     # A store of an earlier version has no names of channels, and nothing that needs them.
-    channels = tuple(map(str, _read(folder, tree, "channel"))) if "channel" in tree else ()
+    channels = tuple(map(str, read(folder, tree, "channel"))) if "channel" in tree else ()
     for label, record in records.items():
         record["cpu_time"] = _cost(folder, tree, label, done, size)
     attrs = {str(key): value for key, value in tree.attrs.items()}
@@ -182,7 +63,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
     if log is not None:
         both = {label: _sample(folder, tree, label, records[label]) for label in labels}
         samples = {label: sample for label, (sample, _) in both.items()}
-        components = tuple(map(str, _read(folder, tree, "reading")))
+        components = tuple(map(str, read(folder, tree, "reading")))
         summaries = {
             label: summarize_log(
                 label, *found, times, scenario.consistency, names, channels, components,
@@ -220,7 +101,7 @@ def load(folder: str | Path, title: str | None = None) -> Stored:
 
 def _sample(folder: Path, tree: xr.DataTree, label: str, record: Record) -> tuple[Record, Record]:
     """The parts of a log: all variables, and those of the innovations."""
-    arrays = {name: _read(folder, tree, f"{label}/{name}") for name in PARTS | INNOVATIONS}
+    arrays = {name: read(folder, tree, f"{label}/{name}") for name in PARTS | INNOVATIONS}
     return parts.read(arrays, float(record["cpu_time"][0]))
 
 
@@ -283,7 +164,7 @@ def _record(
     record: Record = {}
     for name, field in SUMMARY.items():
         if name in REQUIRED or name in tree[label]:  # an older store has fewer
-            value = _read(folder, tree, f"{label}/{name}")
+            value = read(folder, tree, f"{label}/{name}")
             record[name] = value[batches] if field.dims[0] == "batch" else value[done]
     return record
 
@@ -304,7 +185,7 @@ def _check_present(folder: Path, tree: xr.DataTree, batches: Iterable[int]) -> N
 def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], size: int) -> Array:
     """Core time of each finished run `(run,)`, s, the mean of its batch; NaN if not known."""
     if "cpu_time" in tree[label]:
-        return _read(folder, tree, f"{label}/cpu_time")[done]
+        return read(folder, tree, f"{label}/cpu_time")[done]
     cost = np.full(len(done), np.nan)
     for where in _whole(done, size):
         batch = where.start // size
@@ -322,25 +203,3 @@ def _cost(folder: Path, tree: xr.DataTree, label: str, done: NDArray[np.bool_], 
             ) from None
         cost[where] = total / (where.stop - where.start)
     return cost[done]
-
-
-def array(tree: xr.DataTree, path: str) -> xr.DataArray:
-    """An array of a store, lazily read.
-
-    Raises:
-        KeyError: there is no such array.
-    """
-    node = tree[path]
-    if not isinstance(node, xr.DataArray):
-        raise KeyError(path)
-    return node
-
-
-def _read(folder: Path, tree: xr.DataTree, path: str, rows: slice | None = None) -> NDArray[Any]:
-    stored = array(tree, path)
-    try:
-        return (stored if rows is None else stored[rows]).values
-    except (OSError, ValueError, RuntimeError) as error:
-        raise StoreError(
-            f"{folder / STORE}: {path} cannot be read ({error}); --resume computes it again"
-        ) from None

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from estbench.analysis.load import array
+from estbench.analysis.stored import array
 from estbench.experiment import contact, setup
 from estbench.report.sources import Entry
 from estbench.shapes import Array

@@ -8,7 +8,7 @@ import numpy as np
 
 from estbench.analysis import explanations
 from estbench.analysis.finding import Finding
-from estbench.analysis.load import Stored
+from estbench.analysis.stored import Stored
 from estbench.consistency.verdict import Verdict
 from estbench.errors import AnalysisError, EstbenchError
 from estbench.estimators.beliefs import Fault

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from estbench.analysis.load import Stored
+from estbench.analysis.stored import Stored
 from estbench.errors import EstbenchError
 from estbench.experiment import setup
 from estbench.report.rendering import render, replay

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from estbench.analysis import load as stored
-from estbench.analysis.load import Stored
+from estbench.analysis.stored import Stored
 from estbench.consistency.fields import Record
 from estbench.consistency.statistics import Summary
 from estbench.errors import StoreError, did_you_mean
