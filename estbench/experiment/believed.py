@@ -10,8 +10,9 @@ from estbench.errors import DimensionError, ScenarioError, did_you_mean
 from estbench.experiment import build as resolution
 from estbench.robots import flags, given, layout, mjcf, parameters
 from estbench.robots.disturbance import Disturbance, axis_names
+from estbench.robots.intervals import whole_steps
 from estbench.robots.measurement import Measurand
-from estbench.robots.model import Scale, SensorChannel, whole_steps
+from estbench.robots.model import Scale, SensorChannel
 from estbench.scenario.filter import BelievedChannelSection, BelievedNoiseSection, FilterSection
 from estbench.scenario.schema import Scenario
 from estbench.sensors import channel as sensors

@@ -17,8 +17,8 @@ from estbench.logs.source import Log
 from estbench.randomness import streams
 from estbench.robots import backend
 from estbench.robots.controls import ControlRange
-from estbench.robots.model import equal_steps
-from estbench.sensors.sampling import Delivery
+from estbench.robots.intervals import equal_steps
+from estbench.sensors.delivery import Delivery
 from estbench.shapes import Array, Float, Int, Ints
 from estbench.simulation.sources import Trajectory
 from estbench.spaces.semidefinite import psd_root

@@ -1,6 +1,5 @@
 """A MuJoCo model as a state-space model: steps, flow, sensors and Jacobians, batched over runs."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,13 +15,12 @@ from estbench.robots import backend, given, layout, legs, level_ground
 from estbench.robots.controls import ControlRange
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.ignorable import ignorable
+from estbench.robots.intervals import equal_steps, whole_steps
 from estbench.robots.level_ground import LevelGround
-from estbench.robots.measurement import Measurand, Plan, needed_stage, sensor_columns
+from estbench.robots.measurement import Measurand, Plan
 from estbench.shapes import Array, Float
 from estbench.spaces.linalg import added_first, rescaled
 from estbench.spaces.manifold import Manifold
-
-__all__ = ["MujocoModel", "SensorChannel", "needed_stage", "sensor_columns", "whole_steps"]
 
 Scale = Callable[[float], float | Array]
 _REMEMBERED = 10_000
@@ -350,33 +348,3 @@ class MujocoModel:
                 scales.append((block, channel.scale))
             start = block.stop
         return _Selection(plan, R, tuple(scales))
-
-
-def equal_steps(dt: float, timestep: float) -> tuple[int, float | None]:
-    """The number and the length of the physics steps in any dt > 0.
-
-    The least number of equal steps that are at most as long as the timestep. The length is None
-    where it is the timestep itself, but for rounding.
-    """
-    ratio = dt / timestep
-    near = round(ratio)
-    if near >= 1 and abs(ratio - near) <= 1e-6 * ratio:
-        return near, None
-    steps = math.ceil(ratio)
-    return steps, dt / steps
-
-
-def whole_steps(dt: float, timestep: float, what: str) -> int:
-    """The number of physics steps in dt.
-
-    Raises:
-        ScenarioError: dt is not a positive multiple of the timestep.
-    """
-    ratio = dt / timestep
-    steps = round(ratio)
-    if steps < 1 or abs(ratio - steps) > 1e-6 * max(1.0, ratio):
-        raise ScenarioError(
-            f"{what} = {dt:g} s is not a multiple of the timestep {timestep:g} s "
-            f"(nearest: {max(steps, 1) * timestep:g} s)"
-        )
-    return steps

@@ -8,7 +8,7 @@ import pytest
 
 import estbench
 from estbench.robots import backend, mjcf
-from estbench.robots.model import equal_steps
+from estbench.robots.intervals import equal_steps
 from tests.helpers import random_states, zoo_model
 
 ROOT = Path(estbench.__file__).parent
