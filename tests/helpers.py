@@ -21,7 +21,8 @@ from estbench.robots.layout import sensor_name, sensor_space, state_space
 from estbench.robots.model import MujocoModel, SensorChannel
 from estbench.sensors.channel import Channel
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery, Sampler
+from estbench.sensors.delivery import Delivery
+from estbench.sensors.sampling import Sampler
 from estbench.sensors.timing import Timing
 from estbench.shapes import Array, Ints
 from estbench.simulation.sources import Trajectory

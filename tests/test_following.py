@@ -9,7 +9,7 @@ from estbench.estimators.ekf import EKF
 from estbench.following import follow
 from estbench.inference.event_loop import run_filter
 from estbench.models.linear import LinearModel
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.timing import Instant
 from estbench.simulation.sources import Recorded, Trajectory
 from estbench.smoothers.rts import rts

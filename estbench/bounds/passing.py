@@ -10,7 +10,7 @@ from estbench.bounds.expectation import whitened
 from estbench.bounds.recursion import Key, Step, Variations
 from estbench.bounds.scenario import RUNS, beginning, true_system
 from estbench.experiment.prepared import Setup
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.simulation.sources import Trajectory
 from estbench.spaces.linalg import quiet

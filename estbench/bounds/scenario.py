@@ -18,7 +18,7 @@ from estbench.models.differences import Differences
 from estbench.robots import backend, parameters
 from estbench.robots.model import MujocoModel, SensorChannel
 from estbench.robots.varied import Parameter, VariedBackend
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.shapes import Array, Float
 from estbench.simulation.sources import Trajectory
 from estbench.spaces.linalg import is_positive_definite

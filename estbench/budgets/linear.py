@@ -27,7 +27,7 @@ from estbench.inference.initialization import WarmStart
 from estbench.inference.run_subset import RunIndex
 from estbench.models.protocol import Channels, Model
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery, divided
+from estbench.sensors.delivery import Delivery, divided
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.simulation.sources import Trajectory
 from estbench.spaces.linalg import quiet

@@ -17,7 +17,7 @@ from estbench.inference.lags import BLOCK
 from estbench.inference.looking_back import LookingBack
 from estbench.inference.traces import Recorder, Traces
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.shapes import Array, Float, Keys, UInt
 from estbench.spaces.blas import one_thread
 from estbench.spaces.linalg import quiet

@@ -18,7 +18,7 @@ from estbench.inference.inbox import Inbox
 from estbench.inference.innovations import InnovationLog
 from estbench.inference.run_subset import ALL, RunIndex, put, some, take, within
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery, divided
+from estbench.sensors.delivery import Delivery, divided
 from estbench.shapes import Array, Bool, Faults, Float, Ints, Mask
 from estbench.spaces.selection import select
 

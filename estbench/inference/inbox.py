@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estbench.sensors.sampling import Delivery, divided
+from estbench.sensors.delivery import Delivery, divided
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import Manifold, product

@@ -15,7 +15,7 @@ from estbench.inference.inbox import Inbox
 from estbench.inference.latest import LatestInnovations
 from estbench.inference.sizes import Sizes
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.shapes import Array, Float, Int, Ints, Keys, Mask, UInt
 from estbench.spaces.linalg import quiet, surely_finite
 from estbench.spaces.manifold import Manifold

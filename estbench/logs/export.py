@@ -21,7 +21,7 @@ from estbench.scenario.log import (
     LogSection,
     TruthSection,
 )
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from estbench.shapes import Array
 from estbench.simulation.sources import Trajectory
 from estbench.store import locks

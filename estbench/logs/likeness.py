@@ -25,7 +25,7 @@ from estbench.logs.readings import ChannelReadings
 from estbench.logs.replay import fused_of
 from estbench.logs.source import Log, LogSource
 from estbench.scenario.load import Chosen, Scenario, resolve
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.shapes import Array, Float, Int, Ints
 from estbench.spaces.manifold import Manifold
 

@@ -12,7 +12,7 @@ from estbench.logs.table import LogTable
 from estbench.logs.truth import Truth
 from estbench.scenario.log import LogSection
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.timing import Instant
 from estbench.shapes import Array, Float
 from estbench.spaces.manifold import Manifold

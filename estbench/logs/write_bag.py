@@ -16,7 +16,7 @@ from estbench.logs import clock
 from estbench.logs.truth import true_states
 from estbench.robots.layout import control_names, state_names
 from estbench.scenario.log import LogChannel, LogColumns, LogSection, TruthSection
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from estbench.shapes import Array
 from estbench.simulation.sources import Trajectory
 

@@ -10,7 +10,8 @@ from estbench.randomness.streams import Seeds
 from estbench.robots.backend import Backend
 from estbench.robots.measurement import Plan
 from estbench.sensors.channel import Channel
-from estbench.sensors.sampling import Delivery, Sampler, alike, divided
+from estbench.sensors.delivery import Delivery, divided
+from estbench.sensors.sampling import Sampler, alike
 from estbench.shapes import Array, Bool, Float, Int, Ints, Mask
 from estbench.spaces.linalg import surely_finite
 from estbench.spaces.manifold import product

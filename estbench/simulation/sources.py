@@ -12,7 +12,7 @@ import numpy as np
 from estbench.estimators.beliefs import Fault
 from estbench.inference.traces import Traces
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.timing import Instant
 from estbench.shapes import Array, Bool, Float, Mask
 from estbench.simulation.controllers import Controller

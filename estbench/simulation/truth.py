@@ -14,7 +14,7 @@ from estbench.robots.disturbance import Disturbance
 from estbench.scenario.schema import Draw
 from estbench.sensors.channel import Channel
 from estbench.sensors.clock import Clocks, Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.suite import SensorSuite
 from estbench.sensors.timing import Instant, Schedule
 from estbench.shapes import Array, Float, Int, Ints

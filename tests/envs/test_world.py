@@ -7,7 +7,7 @@ from estbench.envs.world import World, prepare
 from estbench.errors import EstimatorError
 from estbench.inference.live import LiveFilter
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.timing import Instant
 from estbench.spaces.manifold import Manifold
 from tests.helpers import ESTIMATORS

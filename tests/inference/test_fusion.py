@@ -15,7 +15,7 @@ from estbench.inference.fusion import Delays, Fusion
 from estbench.inference.inbox import Inbox
 from estbench.inference.latest import LatestInnovations
 from estbench.sensors.clock import Clocks, Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.timing import Schedule, Timing
 from estbench.spaces.manifold import Manifold
 from tests.helpers import ChannelModel, nonlinear_model, random_cov

@@ -1,7 +1,7 @@
 import numpy as np
 
 from estbench.inference.inbox import Inbox
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.spaces.manifold import Manifold
 
 SPACES = {"a": Manifold.euclidean(1), "b": Manifold.euclidean(2)}

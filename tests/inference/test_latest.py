@@ -14,7 +14,7 @@ from estbench.inference.latest import LatestInnovations
 from estbench.inference.run_subset import ALL
 from estbench.models.linear import LinearModel
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import Delivery
+from estbench.sensors.delivery import Delivery
 from estbench.sensors.timing import Instant
 from estbench.spaces.manifold import Manifold
 from tests.helpers import ChannelModel, random_cov

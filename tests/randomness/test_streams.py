@@ -7,7 +7,7 @@ from scipy import stats
 from estbench.experiment import recording, setup
 from estbench.montecarlo import run as experiment
 from estbench.randomness import seeding, streams
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 
 PURPOSES = ("initial", "process", "control", "sensor:gyro", "sensor:gyr0")
 

@@ -10,7 +10,7 @@ from estbench.experiment import setup
 from estbench.inference.event_loop import run_filter
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from estbench.simulation.sources import Recorded, Trajectory
 from tests.helpers import simulated
 

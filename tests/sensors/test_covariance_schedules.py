@@ -16,7 +16,7 @@ from estbench.montecarlo import run as experiment
 from estbench.robots.disturbance import Disturbance
 from estbench.robots.library import engine
 from estbench.sensors import schedules
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from tests.helpers import simulated
 from tests.sensors import test_schedules as factors
 

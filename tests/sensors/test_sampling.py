@@ -11,7 +11,8 @@ from estbench.robots.no_return import may_miss
 from estbench.scenario.channels import ChannelSection
 from estbench.scenario.load import load
 from estbench.sensors import channel as sensors
-from estbench.sensors.sampling import Sampler, divided
+from estbench.sensors.delivery import divided
+from estbench.sensors.sampling import Sampler
 from estbench.sensors.timing import instants
 from tests.helpers import SENSORS, arrived, sampled, simulated, zoo_model
 

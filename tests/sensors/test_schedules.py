@@ -9,7 +9,7 @@ from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
 from estbench.sensors import schedules
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from tests.helpers import simulated
 
 HERE = __name__

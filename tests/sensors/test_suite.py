@@ -5,7 +5,7 @@ import pytest
 
 from estbench.experiment import setup
 from estbench.montecarlo import run as experiment
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 
 HERE = __name__
 ROWS = 5

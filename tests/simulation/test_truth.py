@@ -19,7 +19,7 @@ from estbench.scenario.schema import Draw
 from estbench.sensors import channel as sensors
 from estbench.sensors import timing
 from estbench.sensors.clock import Event
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from estbench.sensors.timing import Instant
 from estbench.shapes import Array
 from estbench.simulation import sources, truth

@@ -14,7 +14,7 @@ from estbench.inference.event_loop import run_filter
 from estbench.inference.fusion import Delays
 from estbench.montecarlo import run as experiment
 from estbench.robots.library import engine
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 from estbench.simulation.sources import Recorded
 from estbench.smoothers.estimators import MAP, RTS, URTS
 from estbench.smoothers.map import map_estimate

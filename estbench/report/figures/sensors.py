@@ -13,8 +13,8 @@ from estbench.errors import EstbenchError, MissingExtraError, StoreError
 from estbench.experiment.prepared import Setup
 from estbench.experiment.recording import trajectory
 from estbench.sensors.channel import Channel
+from estbench.sensors.delivery import divided
 from estbench.sensors.description import ChannelDescription
-from estbench.sensors.sampling import divided
 from estbench.shapes import Array
 from estbench.tables.destination import check_file
 

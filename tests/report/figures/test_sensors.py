@@ -7,7 +7,7 @@ from estbench.errors import EstbenchError, StoreError
 from estbench.experiment import recording, setup
 from estbench.report.figures import sensors as sensor_picture
 from estbench.scenario.load import resolve
-from estbench.sensors.sampling import divided
+from estbench.sensors.delivery import divided
 
 pytest.importorskip("matplotlib")
 from matplotlib.backends.backend_agg import FigureCanvasAgg
