@@ -56,9 +56,10 @@ def _predict(F: Any, P: Any, Q: Any, cov: Any) -> None:
     for r in range(run):
         for i in range(n):
             for j in range(n):
-                row[j] = 0.0
+                s = 0.0
                 for k in range(n):
-                    row[j] += F[r, i, k] * P[r, k, j]
+                    s += F[r, i, k] * P[r, k, j]
+                row[j] = s
             for j in range(i + 1):
                 s = 0.5 * (Q[i, j] + Q[j, i])
                 for k in range(n):
@@ -75,9 +76,10 @@ def _update(P: Any, H: Any, R: Any, nu: Any, delta: Any, cov: Any, S: Any, lower
     for r in range(run):
         for i in range(n):
             for j in range(m):
-                PHt[i, j] = 0.0
+                s = 0.0
                 for k in range(n):
-                    PHt[i, j] += P[r, i, k] * H[r, j, k]
+                    s += P[r, i, k] * H[r, j, k]
+                PHt[i, j] = s
         for i in range(m):  # S = H P Hᵀ + R
             for j in range(i + 1):
                 s = R[i, j]
@@ -87,18 +89,21 @@ def _update(P: Any, H: Any, R: Any, nu: Any, delta: Any, cov: Any, S: Any, lower
         _condition(r, PHt, nu, S, lower, W, white, nis, delta, K)
         for i in range(n):  # A = I - K H, A P, K R
             for j in range(n):
-                A[i, j] = 1.0 if i == j else 0.0
+                s = 1.0 if i == j else 0.0
                 for k in range(m):
-                    A[i, j] -= K[i, k] * H[r, k, j]
+                    s -= K[i, k] * H[r, k, j]
+                A[i, j] = s
             for j in range(m):
-                KR[i, j] = 0.0
+                s = 0.0
                 for k in range(m):
-                    KR[i, j] += K[i, k] * R[k, j]
+                    s += K[i, k] * R[k, j]
+                KR[i, j] = s
         for i in range(n):
             for j in range(n):
-                AP[i, j] = 0.0
+                s = 0.0
                 for k in range(n):
-                    AP[i, j] += A[i, k] * P[r, k, j]
+                    s += A[i, k] * P[r, k, j]
+                AP[i, j] = s
         for i in range(n):  # A P Aᵀ + K R Kᵀ
             for j in range(i + 1):
                 s = 0.0
@@ -127,9 +132,10 @@ def _update_points(d: Any, z: Any, w: Any, zz: Any, R: Any, nu: Any, delta: Any,
         _condition(r, cross, nu, S, lower, W, white, nis, delta, K)
         for i in range(n):  # K R, d - K z
             for j in range(m):
-                KR[i, j] = 0.0
+                s = 0.0
                 for k in range(m):
-                    KR[i, j] += K[i, k] * R[k, j]
+                    s += K[i, k] * R[k, j]
+                KR[i, j] = s
             for p in range(points):
                 s = d[r, p, i]
                 for k in range(m):
