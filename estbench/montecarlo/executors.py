@@ -63,12 +63,14 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
     """The pool of a kind: one of `KINDS`, or `both`, this process and spawned ones.
 
     Raises:
-        ExecutorError: the kind is unknown, or the dask scheduler does not answer.
+        ExecutorError: the kind is unknown, the free memory does not hold the processes, or the dask
+            scheduler does not answer.
         MissingExtraError: dask.distributed is not installed.
     """
     if kind == "threads":
         return Pool(lambda: ThreadPoolExecutor(workers, "estbench"), workers, _leave, 2 * workers)
     if kind in ("processes", "both"):
+        _check_memory(workers)
         here = 1 if kind == "both" else 0
         make = partial(team.kept, here, workers - here)
         return Pool(make, workers, team.dismiss, 2 * workers, kept=True)
@@ -77,6 +79,16 @@ def pool(kind: str, workers: int, address: str | None = None) -> Pool:
 
         return dask.pool(address)
     raise ExecutorError(f"executor is '{kind}'; use one of {', '.join(KINDS)}")
+
+
+def _check_memory(processes: int) -> None:
+    """Refuse processes that the free memory does not hold before they compute anything."""
+    free = free_memory()
+    if free is not None and processes > max(1, most := free // PROCESS_BYTES):
+        raise ExecutorError(
+            f"workers is {processes}: the free memory ({free / 2**30:.1f} GiB) holds {most} "
+            f"processes at most; use fewer --workers, as there are {cpu_count()} CPUs"
+        )
 
 
 def _leave(executor: Executor) -> None:

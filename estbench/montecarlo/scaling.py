@@ -33,21 +33,21 @@ def pool(
         runs: how many are to be computed.
         size: runs of one batch.
         keep: what is stored of each.
-        workers: count; default as many as fit the machine. `auto` has no more than CPUs,
-            where more would wait for each other, and than batches.
+        workers: count, no more than batches; default as many as fit the machine. `auto` has no
+            more than CPUs, where more would wait for each other.
         address: of the dask scheduler.
     """
-    held = batch.held_bytes(prepared, keep, min(size, runs))
+    held, batches = batch.held_bytes(prepared, keep, min(size, runs)), -(-runs // size)
     found = None
     if kind == "auto":
-        most = min(executors.cpu_count(), -(-runs // size))
-        workers = min(workers or executors.fitting("both", held), most)
+        workers = min(workers or executors.fitting("both", held), executors.cpu_count(), batches)
         starts = 0.0 if team.stands(1, workers - 1) else (workers - 1) * START
         if workers > 1 and evaluations(prepared, runs) >= LONG:
             team.kept(1, workers - 1)
         found = forecast(prepared, runs, size, keep, workers)
         kind = choose(found, workers, executors.cpu_count(), starts)
-    return executors.pool(kind, workers or executors.fitting(kind, held), address), found
+    workers = min(workers or executors.fitting(kind, held), batches)
+    return executors.pool(kind, workers, address), found
 
 
 def choose(found: Forecast, workers: int, cpus: int, starts: float) -> str:

@@ -1,5 +1,6 @@
 import pytest
 
+from estbench.errors import ExecutorError
 from estbench.experiment import setup
 from estbench.montecarlo import executors, scaling
 from estbench.montecarlo.forecast import Forecast
@@ -32,9 +33,17 @@ def test_processes_are_taken_where_they_finish_first(seconds, locked, workers, c
     assert choose(Forecast(seconds, 1e-5, 0, None, locked), workers, cpus, starts) == kind
 
 
-def test_auto_has_no_more_workers_than_cpus_and_batches(monkeypatch):
+def test_there_are_no_more_workers_than_batches_and_by_auto_than_cpus(monkeypatch):
     made = setup.build(resolve("pendulum", ["ekf"], runs=100))
     monkeypatch.setattr(executors, "cpu_count", lambda: 4)
-    for kind, size, count in (("auto", 10, 4), ("auto", 50, 2), ("threads", 10, 8)):
+    for kind, size, count in (
+        ("auto", 10, 4),
+        ("auto", 50, 2),
+        ("threads", 10, 8),
+        ("processes", 50, 2),
+    ):
         using, _ = scaling.pool(kind, made, 100, size, "summary", 8, None)
         assert using.workers == count
+    monkeypatch.setattr(executors, "free_memory", lambda: 3 * executors.PROCESS_BYTES)
+    with pytest.raises(ExecutorError, match=r"workers is 8: .* holds 3 processes at most"):
+        scaling.pool("processes", made, 100, 10, "summary", 8, None)
