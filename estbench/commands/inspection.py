@@ -86,7 +86,7 @@ def render(resolved: Scenario) -> Group:
     for i, (name, unit) in enumerate(zip(space.names, space.units)):
         states.add_row(name, unit, f"{np.sqrt(prepared.cov[i, i]):.3g}", noise[i])
     sensors = Table(title="sensors", title_justify="left")
-    for name in ("channel", "type", "noise σ", "unit", "rate", "stage"):
+    for name in ("channel", "type", "noise σ", "unit", "rate", "latency", "stage"):
         sensors.add_column(name, no_wrap=True)
     for channel in prepared.channels:
         described = ChannelDescription.of(channel)
@@ -96,6 +96,7 @@ def render(resolved: Scenario) -> Group:
             described.noise_text,
             described.unit_text,
             described.rate_text,
+            described.latency_text,
             STAGES[max((model.sensor_needstage[i] for i in channel.measurand.sensors), default=0)],
         )
     lines = [

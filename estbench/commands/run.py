@@ -56,7 +56,7 @@ def run(
     precision: Annotated[
         float | None,
         typer.Option(
-            help="add runs, up to --runs, until NEES/n of every estimator is known to ± this"
+            help="add runs, up to --runs (give a large one), until NEES/n is known to ± this"
         ),
     ] = None,
     precision_of: Annotated[
@@ -68,7 +68,9 @@ def run(
     ] = None,
     until_decided: Annotated[
         bool,
-        typer.Option("--until-decided", help="add runs until no verdict is undecided"),
+        typer.Option(
+            "--until-decided", help="add runs, up to --runs, until no verdict is undecided"
+        ),
     ] = False,
     resume: Resume = False,
     shard: Shard = None,
@@ -87,7 +89,9 @@ def run(
     bound: Annotated[
         bool,
         typer.Option(
-            " /--no-bound", help="leave out the bound on the errors, and with it the efficiency"
+            " /--no-bound",
+            show_default=False,
+            help="leave out the bound on the errors, and with it the efficiency",
         ),
     ] = True,
     like: Annotated[
@@ -122,7 +126,8 @@ def run(
     from estbench.montecarlo import run as experiment  # two seconds: a typo is named before
 
     place = destination(out, resolved.name, resume or shard is not None)
-    with place as folder, progress(resolved.simulation.runs) as bar:
+    ends = precision is None and not until_decided
+    with place as folder, progress(resolved.simulation.runs, ends) as bar:
         results = experiment.run(
             resolved, out=folder, keep=keep, dtype=dtype, precision=precision,
             precision_of=pair(precision_of),

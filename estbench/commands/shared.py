@@ -108,37 +108,44 @@ def destination(out: Path | None, name: str, continued: bool = False) -> Iterato
 
 
 @contextmanager
-def progress(total: int) -> Iterator[Callable[[int, int], None]]:
+def progress(total: int, ends: bool = True) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on a terminal, one line every ten seconds elsewhere; both on standard error.
 
     Args:
         total: count of runs.
+        ends: whether all of them are computed; a rule may stop before.
 
     Yields:
         A function of the finished runs and of all runs.
     """
+    most = "" if ends else "at most "
     if sys.stderr.isatty():
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         columns = (
-            TextColumn("{task.completed:.0f}/{task.total:.0f} runs"),
+            TextColumn(f"{{task.completed:.0f}} of {most}{{task.total:.0f}} runs"),
             BarColumn(),
-            TimeRemainingColumn(),
+            *([TimeRemainingColumn()] if ends else []),
         )
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("runs", total=total)
             yield lambda done, total: bar.update(task, completed=done)
         return
+    from estbench.tables.durations import duration
+
     began = last = time.monotonic()
+    first: tuple[int, float] | None = None  # what came with it is not repeated: workers start
 
     def line(done: int, total: int) -> None:
-        nonlocal last
+        nonlocal first, last
         now = time.monotonic()
+        first = first or (done, now)
         if now - last >= 10 or (done == total and now - began > 2):
-            last = now
-            rest = (now - began) * (total - done) / max(done, 1)
-            left = f", about {rest:.0f} s left" if done < total else ""
-            say(f"{done}/{total} runs, {now - began:.0f} s{left}")
+            last, left = now, ""
+            if ends and first[0] < done < total:
+                rest = (now - first[1]) * (total - done) / (done - first[0])
+                left = f", about {duration(rest)} left"
+            say(f"{done} of {most}{total} runs, {duration(now - began)}{left}")
 
     yield line
 

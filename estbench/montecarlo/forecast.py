@@ -12,6 +12,7 @@ from estbench.experiment.size import free_memory
 from estbench.montecarlo import batch, executors
 from estbench.robots import unlocked
 from estbench.shapes import Array
+from estbench.tables.durations import duration
 
 LONG = 60.0
 """Seconds from which a computation is worth a line."""
@@ -61,7 +62,7 @@ class Forecast:
         time = ""
         if self.step:
             each = f"{1e3 * self.step:.2g} ms per run and step"
-            time = f"about {_duration(self.seconds)} ({each}) and "
+            time = f"about {duration(self.seconds)} ({each}) and "
         line = f"this will take {time}about {self.memory / 2**30:.2g} GiB"
         if not fits and self.free is not None:
             return (
@@ -99,7 +100,7 @@ def wide_channels(prepared: Setup) -> list[str]:
     """One line for each channel of so many values that it decides what an update costs."""
     return [
         f"{name} has {space.n} values: each update factorizes a {space.n} x {space.n} S, "
-        f"{_duration(_factorization(space.n))} in each run; sensors = [...] leaves it out"
+        f"{duration(_factorization(space.n))} in each run; sensors = [...] leaves it out"
         for name, space in prepared.channel_spaces.items()
         if space.n >= _WIDE
     ]
@@ -173,9 +174,3 @@ def _factorization(m: int) -> float:
         np.linalg.cholesky(few)
         taken.append(time.process_time() - began)
     return 6 * min(taken) * (m / len(few)) ** 3
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.2g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

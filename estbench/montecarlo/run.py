@@ -14,7 +14,7 @@ from estbench.montecarlo.dispatch import Progress, Say
 from estbench.montecarlo.pool import keeping
 from estbench.montecarlo.results import Results
 from estbench.scenario.load import Chosen, Scenario, resolve
-from estbench.store import resuming
+from estbench.store import folders, resuming
 
 
 def run(
@@ -110,7 +110,7 @@ def _until(rule: stopping.Rule, prepared: Setup, plan: Plan) -> Results:
     """Compute runs until a rule is met; a store is extended, so that it holds no run but these."""
     done: Done = {}
     most, size, begun = prepared.scenario.simulation.runs, plan.size, 0
-    if plan.resume and plan.out is not None and plan.out.exists():
+    if plan.resume and plan.out is not None and folders.taken(plan.out):
         begun, size = resuming.extent(plan.out)
         most = max(most, begun)
 

@@ -137,6 +137,7 @@ def _chosen(estimators: Chosen, tables: dict[str, dict[str, Any]]) -> dict[str, 
     for name in map(name_of, several):
         if name not in tables and ":" not in name and name not in known():
             hint = did_you_mean(name, {**known(), **tables})
+            hint = "; name each by itself (-e ekf -e ukf)" if "," in name else hint
             raise EstimatorError(f"no estimator '{name}'{hint}")
         label = name.rpartition(":")[2]
         if not label:

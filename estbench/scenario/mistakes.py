@@ -50,10 +50,18 @@ def _explain(error: Any, root: type[Section]) -> str:
         for part in error["loc"][:-1]:
             section = _inside(section, part)
         known = getattr(section, "model_fields", {})
-        return f"{where}: unknown key{did_you_mean(str(error['loc'][-1]), known)}"
+        elsewhere = _sections(root, where) if section is root else []
+        hint = f" (did you mean {' or '.join(elsewhere)}?)" if elsewhere else ""
+        return f"{where}: unknown key{hint or did_you_mean(str(error['loc'][-1]), known)}"
     given = error.get("input")
     shown = f", got {given!r}" if isinstance(given, str | int | float | bool) else ""
     return f"{where}: {message}{shown}"
+
+
+def _sections(root: type[Section], key: str) -> list[str]:
+    """`section.key` of every section of the root that has this key."""
+    sections = {name: _inside(root, name) for name in root.model_fields}
+    return [f"'{n}.{key}'" for n, s in sections.items() if key in getattr(s, "model_fields", {})]
 
 
 def _dotted(error: Any) -> str:

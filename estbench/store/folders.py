@@ -61,23 +61,25 @@ def built(folder: Path) -> Iterator[Path]:
     So other processes see the whole folder or none; after an exception none is left.
 
     Args:
-        folder: must not exist.
+        folder: must not exist, or be empty.
 
     Raises:
         StoreError: the folder exists or cannot be written.
     """
-    if folder.exists():
+    if taken(folder):
         raise StoreError(EXISTS.format(folder))
     made, draft = missing_parents(folder), locks.draft(folder)
     try:
         with locks.building(draft):
             yield draft
+            with contextlib.suppress(OSError):
+                folder.rmdir()  # it was empty
             draft.rename(folder)
     except BaseException as error:
         remove(draft, made)
         if not isinstance(error, OSError):
             raise
-        if folder.exists():
+        if taken(folder):
             raise StoreError(EXISTS.format(folder)) from None
         raise unwritable(folder, error) from None
 
@@ -94,14 +96,19 @@ def opened(
         create: makes it, and raises a `StoreError` if it exists.
         reopen: opens it.
     """
-    if (resume or shared) and folder.exists():
+    if (resume or shared) and taken(folder):
         return reopen()
     try:
         return create()
     except StoreError:
-        if not shared or not folder.exists():
+        if not shared or not taken(folder):
             raise
         return reopen()
+
+
+def taken(folder: Path) -> bool:
+    """Whether something stands there; an empty folder is as good as none."""
+    return folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
 
 
 def missing_parents(folder: Path) -> list[Path]:

@@ -106,13 +106,17 @@ def _longer(folder: Path, asked: str) -> bool:
             f"{folder / SCENARIO} cannot be read: {error}; choose another --out"
         ) from None
     differences = changes(before, tomllib.loads(asked))
-    longer = extension.is_longer(differences)
-    for key, was, now in () if longer else differences:
+    if not differences or extension.is_longer(differences):
+        return bool(differences)
+    key, was, now = next((d for d in differences if d[0] == "name"), differences[0])
+    if [key for key, *_ in differences] == ["simulation.runs"]:
         raise StoreError(
-            f"{folder} is of another scenario: {key} was {was!r} and is {now!r}; "
-            "choose another --out"
+            f"{folder} has {was} runs and {now} are asked for: runs are added, not taken away; "
+            f"use --runs {was} or more, or choose another --out"
         )
-    return longer
+    raise StoreError(
+        f"{folder} is of another scenario: {key} was {was!r} and is {now!r}; choose another --out"
+    )
 
 
 def _refuse_other_arrays(

@@ -10,6 +10,8 @@ from typing import Any
 PACKAGES = ("estbench", "mujoco", "numpy", "scipy", "zarr", "xarray")
 NUMERICAL = ("estbench", "mujoco", "numpy", "scipy", "numba")
 """The packages on which the numbers depend."""
+EXTRAS = {"numba": "the extra fast (numba)"}
+"""What a package is called that comes with an extra."""
 
 version = cache(metadata.version)  # a package's metadata take 20 ms to read
 
@@ -39,6 +41,7 @@ def mixed(versions: Sequence[Mapping[str, str]]) -> str | None:
     for name in NUMERICAL:
         first, *others = dict.fromkeys(v[name] for v in versions if name in v) or ("",)
         if others:
+            name = EXTRAS.get(name, name)
             said.append(f"begun with {name} {first}, continued with {', '.join(others)}")
     if not said:
         return None

@@ -36,7 +36,7 @@ def test_every_file_is_that_of_the_runs_asked_for_at_once(stores, few):
     assert contents(few) == contents(stores[1])
     assert len(results.runs) == 9
     assert not results.notices
-    with pytest.raises(StoreError, match=r"simulation\.runs was 9 and is 4"):
+    with pytest.raises(StoreError, match=r"has 9 runs and 4 are asked for"):
         run(few, runs=4, resume=True, **OPTIONS)
 
 

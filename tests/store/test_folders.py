@@ -49,6 +49,7 @@ def test_results_that_cannot_be_written(one_second):
     [
         ("never", False, False, "created"),
         ("never", True, True, "created"),
+        ("empty", True, False, "created"),
         ("before", True, False, "reopened"),
         ("before", False, True, "reopened"),
         ("before", False, False, None),
@@ -58,17 +59,20 @@ def test_results_that_cannot_be_written(one_second):
 )
 def test_a_store_is_made_or_gone_on_with(there, resume, shared, expected, tmp_path):
     def create():
-        if there == "never":
+        if there in ("never", "empty"):
             return "created"
         folder.mkdir(exist_ok=True)
+        (folder / "scenario.toml").touch()
         raise StoreError("it exists")
 
     def made():
         return opened(folder, resume, shared, create, lambda: "reopened")
 
     folder = tmp_path / "x"
-    if there == "before":
+    if there in ("before", "empty"):
         folder.mkdir()
+    if there == "before":
+        (folder / "scenario.toml").touch()
     if expected is None:
         with pytest.raises(StoreError, match="it exists"):
             made()

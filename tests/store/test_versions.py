@@ -67,7 +67,9 @@ def test_a_store_continued_with_the_compiled_loops_says_so(tmp_path, installed, 
     monkeypatch.setattr(versions, "find_spec", lambda name: True)
     installed({"numba": "0.62"})
     (note,) = run(tmp_path / "x", resume=True).notices
-    assert note.startswith("begun with numba absent, continued with 0.62: the numbers may not be")
+    assert note.startswith(
+        "begun with the extra fast (numba) absent, continued with 0.62: the numbers may not be"
+    )
 
 
 def test_one_version_says_nothing(tmp_path):
