@@ -36,11 +36,14 @@ class Batch:
     records: dict[str, records.Record]
 
 
-def trace_bytes(prepared: setup.Setup, dtype: str = "float64") -> int:
-    """What `diagonal` stores beyond `summary`, for all runs and estimators."""
+def trace_bytes(prepared: setup.Setup, dtype: str = "float64", keep: str = "diagonal") -> int:
+    """What `diagonal` or `full` stores beyond `summary`, for all runs and estimators."""
     space, count = prepared.space, len(prepared.scenario.estimators)
     live = prepared.scenario.control.observe == "estimate"
     numbers = count * (space.nx + 2 * space.n + 2) + space.nx * (count if live else 1)
+    if keep == "full":
+        m = len(readings(prepared.channel_spaces))
+        numbers += count * (space.n**2 + m + m**2)
     whole = 2 * 8 * count  # the degrees of freedom of NEES and of NIS
     a_step = numbers * np.dtype(dtype).itemsize + whole
     return a_step * len(prepared.times) * prepared.scenario.simulation.runs

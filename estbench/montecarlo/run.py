@@ -1,5 +1,6 @@
 """Monte Carlo experiments: batches of runs on workers, interruptible, finished runs are kept."""
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -89,6 +90,7 @@ def run(
         )
     prepared = build(resolved)
     level, notices = _level(prepared, keep, stored, out is not None)
+    _check_disk(prepared, level, stored, out)
     size = batch_size or batch.default_batch_size(prepared, level)
     if rule is not None and batch_size is None:
         size = min(size, stopping.BATCH)
@@ -160,6 +162,20 @@ def _check(
         raise ExecutorError(
             f"address is {address!r}, that of a dask scheduler, but executor is {executor!r}; add "
             "--executor dask, or leave the address out"
+        )
+
+
+def _check_disk(prepared: Setup, keep: str, dtype: str, out: str | Path | None) -> None:
+    """Refuse traces of twice the size of what is free on the disk, however they are compressed."""
+    if out is None or keep == "summary":
+        return
+    parent = next(p for p in Path(out).absolute().parents if p.exists())
+    needed, free = batch.trace_bytes(prepared, dtype, keep), shutil.disk_usage(parent).free
+    if needed > 2 * free:
+        raise StoreError(
+            f"keep is '{keep}': the traces of all runs take {needed / 2**30:.3g} GiB before they are "
+            f"compressed, and {free / 2**30:.3g} are free in {parent}; use --keep summary, or fewer "
+            "--runs"
         )
 
 

@@ -1,11 +1,19 @@
+import shutil
 import threading
+from collections import namedtuple
 
 import numpy as np
 import pytest
 
 import estbench
 from estbench.consistency import records
-from estbench.errors import ControllerError, EstbenchError, EstimatorError, ScenarioError
+from estbench.errors import (
+    ControllerError,
+    EstbenchError,
+    EstimatorError,
+    ScenarioError,
+    StoreError,
+)
 from estbench.estimators.ekf import EKF
 from estbench.experiment import setup
 from estbench.montecarlo import batch as batches
@@ -358,13 +366,20 @@ def test_default_batches_do_not_depend_on_the_machine(monkeypatch):
 def test_traces_are_kept_while_they_are_small(tmp_path, monkeypatch):
     prepared = setup.build(resolve("cartpole", ["ekf", "ukf"], runs=24, duration=0.3))
     assert batches.default_keep(prepared) == "diagonal"
-    run(out=tmp_path / "small", estimators=["ekf", "ukf"])
-    with estbench.open_results(tmp_path / "small") as tree:
-        tree = tree.load()
-        names = (*records.DIAGONAL, "x")
-        groups = [tree[g].data_vars for g in ("ekf", "ukf", "truth")]
-        stored = sum(g[n].nbytes for g in groups for n in names if n in g)
-    assert batches.trace_bytes(prepared) == stored
+    for keep, kept in (("full", records.DIAGONAL | records.FULL), ("diagonal", records.DIAGONAL)):
+        run(out=tmp_path / keep, estimators=["ekf", "ukf"], keep=keep)
+        with estbench.open_results(tmp_path / keep) as tree:
+            tree = tree.load()
+            groups = [tree[g].data_vars for g in ("ekf", "ukf", "truth")]
+            stored = sum(g[n].nbytes for g in groups for n in (*kept, "x") if n in g)
+        assert batches.trace_bytes(prepared, keep=keep) == stored
+    disk = namedtuple("Disk", "free")(stored // 2 - 1)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: disk)
+    with pytest.raises(
+        StoreError, match=r"keep is 'diagonal': the traces .* are free in .*summary"
+    ):
+        run(out=tmp_path / "no" / "room", estimators=["ekf", "ukf"])
+    assert not (tmp_path / "no").exists()
     monkeypatch.setattr(batches, "TRACES_BYTES", stored - 1)
     assert batches.default_keep(prepared, "float32") == "diagonal"
     large = run(out=tmp_path / "large", estimators=["ekf", "ukf"])
