@@ -173,9 +173,9 @@ def _check_disk(prepared: Setup, keep: str, dtype: str, out: str | Path | None) 
     needed, free = batch.trace_bytes(prepared, dtype, keep), shutil.disk_usage(parent).free
     if needed > 2 * free:
         raise StoreError(
-            f"keep is '{keep}': the traces of all runs take {needed / 2**30:.3g} GiB before they are "
-            f"compressed, and {free / 2**30:.3g} are free in {parent}; use --keep summary, or fewer "
-            "--runs"
+            f"keep is '{keep}': the traces of all runs take {needed / 2**30:.3g} GiB before they "
+            f"are compressed, and {free / 2**30:.3g} are free in {parent}; use --keep summary, or "
+            "fewer --runs"
         )
 
 
