@@ -129,11 +129,12 @@ def looped(
     if loop is None:
         return numpy(slice(None), mask)
     run, m = residual.shape
-    left = np.zeros(run, bool) if mask is None else ~np.all(mask, axis=-1)
+    left = None if mask is None else ~np.all(mask, axis=-1)
     if not surely_finite(loop.nis):
-        left = left | (~np.isfinite(loop.nis) & np.isfinite(loop.S).all(axis=(-2, -1)))
-    fault, dof = np.zeros(run, np.uint8), np.full(run, m)
-    if np.count_nonzero(left):
+        lost = ~np.isfinite(loop.nis) & np.isfinite(loop.S).all(axis=(-2, -1))
+        left = lost if left is None else left | lost
+    fault, dof = np.zeros(run, np.uint8), np.array([m]).repeat(run)
+    if left is not None and np.count_nonzero(left):
         part = numpy(left, None if mask is None else mask[left])
         inn, residual = part.innovation, residual.copy()
         assert isinstance(inn.gain, Gain)
