@@ -51,18 +51,25 @@ class SigmaPoints:
         self, space: Manifold, values: Float[Array, "run point nx"]
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"], Float[Array, "run n n"]]:
         """Mean of the values, their residuals from it, and their covariance."""
+        values = self.on_line(space, values)
+        loop = None
         if space.flat:
-            values = self.on_line(space, values)
-            if loop := fused.moments(values, self.mean_weights, self.cov_weights):
-                return loop
-        mean, residual = self.residuals(space, values)
+            loop = fused.moments(values, self.mean_weights, self.cov_weights)
+        if loop is not None:
+            return loop
+        mean, residual = self._about_mean(space, values)
         return mean, residual, self.cross(residual, residual)
 
     def residuals(
         self, space: Manifold, values: Float[Array, "run point nx"]
     ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"]]:
         """Mean of the values and their residuals from it; angles are taken to `on_line` first."""
-        values = self.on_line(space, values)
+        return self._about_mean(space, self.on_line(space, values))
+
+    def _about_mean(
+        self, space: Manifold, values: Float[Array, "run point nx"]
+    ) -> tuple[Float[Array, "run nx"], Float[Array, "run point n"]]:
+        """Mean of values in `space.line`, and their residuals from it."""
         mean = space.line.mean(values, self.mean_weights)
         return mean, space.line.minus(values, mean[:, None])
 
